@@ -1,9 +1,9 @@
-"""What the guard does about each fault in each phase: seconds to hold, seconds to lift, by the board's own record.
+"""Measure the guard's reaction to each fault in each phase: seconds to hold and to lift, by the board's own record.
 
-The driver's node runs in a process of its own, its guard in another, the board is ``mock_grbl`` in real time. After
-each fault the board's log gives the first hold (or reset, while homing), and the motors' position when the stylus is
-up. With ``--write`` the table goes into docs/explanation/guard.md. The last row is the time of a question to the guard
-and its answer over the socket.
+The driver's node and its guard run in processes of their own; the board is ``mock_grbl`` in real time. After each fault
+the board's log gives the first hold (or reset, while homing), and the motors' position shows when the stylus is up.
+``--write`` writes the table to docs/explanation/guard.md. The last row is the time from a question to the guard to its
+answer over the socket.
 """
 
 from __future__ import annotations
@@ -15,36 +15,32 @@ import signal
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import rclpy
-from rclpy.context import Context
 from rows import bound, write
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 from nodes.guard_rig import DOWN_M, HOMED, GuardRig
-from ros_rig import Ros
+from ros_rig import Ros, participant
 
 from gantry_driver.adapters.guard.client import GuardLink
 from gantry_driver.core.machine_config import DriverConfig
 from icu_common.adapters.direct_stop.line import guard_folder, send_stop, stop_path
-from icu_common.nodes.runtime import prepare_transport
 
 PAGE = Path(__file__).resolve().parents[1] / "docs/explanation/guard.md"
 BEGIN, END = "<!-- matrix: begin -->\n", "<!-- matrix: end -->"
 DOMAIN = 88
 HOLD_S, LIFT_S, KILLED_HOLD_S = 0.1, 1.5, 0.5
-"""Goals: seconds to hold and to lift after a fault of the node, and to hold after the guard was killed."""
+"""Limits: seconds to hold and to lift after a fault of the node, and to hold after the guard was killed."""
 QUESTIONS = 3000
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Seen:
-    """What one repetition showed: seconds to hold and to lift; None where nothing had to be done."""
+    """Result of one run: seconds to hold and to lift; None if neither was necessary."""
 
     held_s: float | None
     lifted_s: float | None
@@ -69,7 +65,7 @@ def homing(rig: GuardRig) -> None:
 
 
 def rest(rig: GuardRig) -> None:
-    """Stand with the stylus up."""
+    """Rest with the stylus up."""
 
 
 PHASES: dict[str, Callable[[GuardRig], None]] = {
@@ -99,7 +95,7 @@ def kill_guard(rig: GuardRig) -> None:
 
 
 def kill_both(rig: GuardRig) -> None:
-    """Kill the guard and its node; a successor of the node, as bring-up starts it, comes at once."""
+    """Kill the guard and its node, and start the next node at once, as bring-up does."""
     rig.node.kill()
     kill_guard(rig)
     rig.start()
@@ -120,7 +116,7 @@ CAUSES: dict[str, Callable[[GuardRig], None]] = {
 
 
 def once(ros: Ros, cause: str, phase: str) -> Seen:
-    """Return what one fault in one phase leads to, on a fresh board that is not reset by an opening of its port."""
+    """Return the result of one fault in one phase, on a new board that opening its port does not reset."""
     with tempfile.TemporaryDirectory() as folder:
         rig = GuardRig(ros, Path(folder), "--keep-running", stylus_file=f"{folder}/stylus")
         try:
@@ -147,19 +143,6 @@ def once(ros: Ros, cause: str, phase: str) -> Seen:
                 ros.executor.remove_node(node)
                 node.destroy_node()
                 ros.nodes.remove(node)
-
-
-@contextmanager
-def session() -> Iterator[Ros]:
-    prepare_transport()
-    context = Context()
-    rclpy.init(context=context, domain_id=DOMAIN)
-    ros = Ros(context)
-    try:
-        yield ros
-    finally:
-        ros.close()
-        rclpy.shutdown(context=context)
 
 
 def questions() -> np.ndarray:
@@ -196,7 +179,7 @@ def cell(seen: list[Seen]) -> str:
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--repeats", type=int, default=2, help="runs of each pair of fault and phase")
-    parser.add_argument("--seed", type=int, default=1, help="of the order of the runs")
+    parser.add_argument("--seed", type=int, default=1, help="seed of the order of the runs")
     parser.add_argument("--causes", nargs="*", default=list(CAUSES), help="faults to run")
     parser.add_argument("--phases", nargs="*", default=list(PHASES), help="phases to run")
     parser.add_argument("--write", action="store_true", help="put the table into docs/explanation/guard.md")
@@ -204,7 +187,7 @@ def main() -> int:
     pairs = [(c, p) for c in options.causes for p in options.phases for _ in range(options.repeats)]
     random.Random(options.seed).shuffle(pairs)
     seen: dict[tuple[str, str], list[Seen]] = {}
-    with session() as ros:
+    with participant(DOMAIN) as ros:
         for cause, phase in pairs:
             seen.setdefault((cause, phase), []).append(once(ros, cause, phase))
             print(f"{cause}, {phase}: {seen[cause, phase][-1]}", flush=True)

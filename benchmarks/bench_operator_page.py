@@ -1,12 +1,12 @@
-"""The operator page, measured in a real browser with the true driver: delays, stop, many viewers.
+"""Measure the operator page in a real browser with the real driver: delays, stop, many viewers.
 
-The camera's pictures carry the moment they were made; the browser reads it from the canvas as soon as it is drawn, so
-"glass to glass" is from the camera node's stamp to pixels on the page (the monitor's own delay comes on top). The slow
-link is a proxy with 3 Mbit/s and 20 ms one way in each direction. A stop is counted from the page's key to ``!`` at the
-mock board. With many viewers it is also looked how regularly the operator's heartbeat comes, how old corners are when
-they come (of a node on the same pictures), and how much of a processor the bridge takes with real-time scheduling, as
-nobody else gets that. `--parts floods` measures STOP while observers and
-strangers flood the server. How other ways to show a camera on a page fare is in docs/decisions/operator-page.md.
+The camera's pictures contain the time at which they were made, and the browser reads it from the canvas as soon as it
+is drawn. So "glass to glass" is the time from the camera node's stamp to pixels on the page, without the monitor's own
+delay. The slow link is a proxy with 3 Mbit/s and 20 ms one way in each direction. A stop is measured from the page's
+key to ``!`` at the mock board. With many viewers, the benchmark also measures the regularity of the operator's
+heartbeat, the age of corners on arrival (from a node on the same pictures), and the bridge's share of a processor: the
+bridge has real-time scheduling, so no other program gets this share. ``--parts floods`` measures STOP while observers
+and strangers flood the server. docs/decisions/operator-page.md compares other ways to show a camera on a page.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Recording two cameras of 1280 x 960 grey pixels at 30 Hz, and the MCAP writer beside the official one."""
+"""Record two cameras of 1280 x 960 grey pixels at 30 Hz, and compare the MCAP writer with the official one."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def image() -> bytes:
 
 
 def recorded(folder: Path, seconds: float) -> tuple[int, int]:
-    """Return how many messages of a pair of cameras are in the bag, and how many are missing."""
+    """Return the numbers of recorded and of missing messages of a pair of cameras."""
     node = rclpy.create_node("cameras")
     outputs = [node.create_publisher(Image, topic, qos.IMAGES) for topic in TOPICS]
     command = [sys.executable, "-m", "scope_bench.cli.bag_record", *TOPICS, "-o", str(folder / "bag")]

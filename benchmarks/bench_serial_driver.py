@@ -167,7 +167,7 @@ def camera_graph() -> Iterator[None]:
 
 
 def run_guard(port: str, holds: str) -> int:
-    """The guard's process: as the node starts it, but each hold that it writes is noted."""
+    """Run the guard as the node starts it, and note each hold that it writes."""
     from gantry_driver.cli import gantry_guard
 
     def write_and_note(fd: int, data: bytes) -> int:
@@ -183,7 +183,7 @@ def run_guard(port: str, holds: str) -> int:
 
 
 def run_node(port: str) -> int:
-    """The driver's process: as in the graph, but a signal does not end it."""
+    """Run the driver's node as in the graph, except that a signal does not end it."""
     import rclpy
     from rclpy.experimental import EventsExecutor
     from rclpy.parameter import Parameter

@@ -1,8 +1,7 @@
-"""How long a STOP takes while the page's server is flooded: to the answer, and to the driver's byte at the mock board.
+"""Measure a STOP while the page's server is flooded: the time to the answer, and to the driver's byte at the board.
 
-The operator is a client without a browser, with control and its keep-alives; it stops by the page's quick way, a
-request of its own, and by the connection. Each flood (tests/page_floods.py) is a process of its own: an observer's, or
-one of a stranger.
+The operator is a client without a browser that has control and sends keep-alives. It stops by a request and by the
+WebSocket, as the page does. Each flood (tests/page_floods.py) is a process of its own, of an observer or of a stranger.
 """
 
 from __future__ import annotations
@@ -26,11 +25,11 @@ from scope_ui_bridge.adapters.secret_files import write_secret
 from scope_ui_bridge.core.passwords import new_user
 
 ADA, EVE = {"name": "ada", "password": "correct horse"}, page_floods.EVE
-_APART_S = 0.6  # a stop of the same person within half a second would be the same stop
+_APART_S = 0.6  # a stop of the same person within half a second counts as the same stop
 
 
 def write_passwords(folder: Path) -> None:
-    """Write the accounts of an operator and of an observer; before the bridge starts."""
+    """Write the accounts of an operator and an observer; call it before the bridge starts."""
     users = [
         new_user("ada", "operator", ADA["password"], b"a" * 16),
         new_user("eve", "viewer", EVE["password"], b"e" * 16),
@@ -48,7 +47,7 @@ async def _signed_in(url: str, form: dict[str, str]) -> AsyncIterator[aiohttp.Cl
 
 
 class _Operator:
-    """Who has control, and is alive."""
+    """A client in control that sends keep-alives."""
 
     def __init__(self, session: aiohttp.ClientSession) -> None:
         self.session = session
@@ -65,7 +64,7 @@ class _Operator:
         return self
 
     async def ready(self) -> None:
-        """Make the driver idle: it sends its hold to the board whatever it does then."""
+        """Make the driver idle; a stop then sends a hold to the board."""
         deadline = time.monotonic() + 60.0
         asked, asked_s = "", 0.0
         while (found := self._driver) != "idle":
@@ -127,7 +126,7 @@ async def _measure(rig: MachineRig, name: str, count: int) -> list[Row]:
         with flooding as flood:
             await asyncio.sleep(1.0)
             for number in range(count):
-                if name == "stops":  # the machine stays stopped, so its hold is anybody's
+                if name == "stops":  # the machine stays stopped, so its hold may be another client's
                     answers.append(await operator.stop(f"{name}-{number}"))
                     await asyncio.sleep(_APART_S)
                     continue
@@ -150,10 +149,10 @@ async def _measure(rig: MachineRig, name: str, count: int) -> list[Row]:
 
 
 def floods(rig: MachineRig, count: int) -> list[Row]:
-    """Return the rows of all floods, after those of none."""
+    """Return the rows of all floods, preceded by those without a flood."""
     rows: list[Row] = []
     with ThreadPoolExecutor(1) as thread:  # playwright's loop runs in this one
         for name in ("", *page_floods.FLOODS):
             rows += thread.submit(asyncio.run, _measure(rig, name, count)).result()
-            time.sleep(5.5)  # sign-ins of one account are limited, too
+            time.sleep(5.5)  # sign-ins of one account are limited to one in 5 s
     return rows

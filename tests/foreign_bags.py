@@ -57,15 +57,15 @@ def bag(
     Parameters
     ----------
     folder, form, rows
-        Where, release and storage, and (topic, time in ns, CDR).
+        Path of the bag; release and storage; (topic, time in ns, CDR) of each message.
     kinds
-        Type of each topic; std_msgs/String if it is not named.
+        Type of each topic; the default is std_msgs/String.
     definitions
         Text of each type; only a Humble bag in sqlite3 has none.
     file_qos, metadata_qos
-        Changes of the profiles of each topic, in the file and in metadata.yaml.
+        Changed values of each topic's profiles, in the file and in metadata.yaml.
     starting_ns
-        What metadata.yaml says; None: the time of the first message.
+        Starting time in metadata.yaml; None: the time of the first message.
     """
     release, storage = form
     folder.mkdir()

@@ -8,6 +8,8 @@ import time
 from pathlib import Path
 from typing import Any
 
+from deadlines import wait_until
+
 LISTENS_WITHIN_S = ANSWERS_WITHIN_S = 30.0
 """The bench may be drawing a picture, on a loaded machine, before it listens and before it answers."""
 HOLD = ord("!")
@@ -19,14 +21,15 @@ class LineSocket:
     def __init__(self, path: Path) -> None:
         self._socket = socket.socket(socket.AF_UNIX)
         self._socket.settimeout(ANSWERS_WITHIN_S)
-        deadline = time.monotonic() + LISTENS_WITHIN_S
-        while True:
+
+        def connected() -> bool:
             try:
                 self._socket.connect(str(path))
-                break
-            except (FileNotFoundError, ConnectionRefusedError) as error:  # not bound yet, or bound and not listening
-                assert time.monotonic() < deadline, f"nobody listens on {path} within {LISTENS_WITHIN_S:g} s: {error}"
-                time.sleep(0.02)
+            except (FileNotFoundError, ConnectionRefusedError):  # not bound yet, or bound and not listening
+                return False
+            return True
+
+        wait_until(connected, f"a process listens on {path}", LISTENS_WITHIN_S)
         self._file = self._socket.makefile("rwb")
 
     def ask(self, do: str, **values: Any) -> dict[str, Any]:
@@ -86,16 +89,17 @@ class BoardSocket(LineSocket):
 
     def at_rest(self) -> tuple[float, float, float]:
         """Return the place once it has not changed for a while."""
-        deadline = time.monotonic() + 30.0
         seen, since_s = self.mpos(), time.monotonic()
-        while True:
+
+        def rests() -> bool:
+            nonlocal seen, since_s
             asked_s = time.monotonic()
             if (now := self.mpos()) != seen:
                 seen, since_s = now, time.monotonic()
-            elif asked_s > since_s + 0.3:
-                return seen
-            assert asked_s < deadline, "the machine does not come to rest"
-            time.sleep(0.02)
+            return asked_s > since_s + 0.3
+
+        wait_until(rests, "the machine comes to rest", describe=lambda: seen)
+        return seen
 
     def counters(self) -> dict[str, int]:
         return dict(self.ask("counters")["counters"])

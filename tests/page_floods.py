@@ -1,7 +1,7 @@
 """Floods of an operator page's server, each from a process of its own.
 
-``python page_floods.py NAME URL COOKIE SECONDS``; the cookie is an observer's. It prints what it has sent,
-and what came back, as JSON.
+``python page_floods.py NAME URL COOKIE SECONDS`` floods with an observer's cookie. It prints the numbers of sent
+messages and of answers as JSON.
 """
 
 from __future__ import annotations
@@ -24,12 +24,14 @@ from urllib.parse import urlsplit
 import aiohttp
 
 BIG = '{"seq":1,"type":"call","boot":"boot","epoch":0,"more":[' + "{}," * 10_880 + "1]}"
-"""32 kB of empty objects: what costs a strict parser most."""
+"""32 kB of empty objects: the slowest input for a strict parser."""
 EVE = {"name": "eve", "password": "battery staple"}
+HEIGHT = 6
+"""Number of results after which a flood counts as begun."""
 
 
 class Flood:
-    """Who floods whom, and what came of it."""
+    """Target of a flood, its credentials, and counts of the results."""
 
     def __init__(self, url: str, cookie: str) -> None:
         self.url, self.cookie = url.rstrip("/"), cookie
@@ -106,7 +108,7 @@ async def small_messages(flood: Flood) -> None:
 
 
 async def stops(flood: Flood) -> None:
-    """Stop again and again: every signed-in person may."""
+    """Stop repeatedly, as every signed-in person may."""
 
     async def send(made: Any) -> None:
         for number in range(20):
@@ -117,7 +119,7 @@ async def stops(flood: Flood) -> None:
 
 
 async def pings(flood: Flood) -> None:
-    """Ping below the page's script."""
+    """Send WebSocket pings."""
 
     async def send(made: Any) -> None:
         for _ in range(50):
@@ -128,7 +130,7 @@ async def pings(flood: Flood) -> None:
 
 
 async def videos(flood: Flood) -> None:
-    """Hold 47 connections of pictures, and take what they give."""
+    """Keep 47 video connections open and read them."""
 
     async def send(made: Any) -> None:
         await made.send_str(json.dumps({"camera": "left"}))
@@ -164,18 +166,18 @@ async def tokens(flood: Flood) -> None:
 
 
 async def bodies(flood: Flood) -> None:
-    """Send bodies that are not what their head says."""
+    """Send bodies that do not match their head."""
     headers = {"Origin": flood.url, "Content-Encoding": "gzip", "Content-Type": "application/x-www-form-urlencoded"}
     await _asking(flood, 10, "POST", "/sign-in", 0.0, data=b"token=" + b"x" * 2000, headers=headers)
 
 
 async def requests(flood: Flood) -> None:
-    """Ask for the session and for files as the observer, as fast as twenty connections can."""
+    """Request files as the observer, as fast as twenty connections can."""
     await _asking(flood, 20, "GET", "/page/strings_en.js", 0.0, headers=flood.headers)
 
 
 async def pipelined(flood: Flood) -> None:
-    """Send requests in a row without reading an answer, on forty connections that nobody is signed in on."""
+    """Send requests in a row without reading an answer, on forty connections without a sign-in."""
     host, port = flood.raw()
     head = f"GET /session HTTP/1.1\r\nHost: {host}:{port}\r\n\r\n".encode() * 200
 
@@ -201,18 +203,18 @@ async def _again(one: Callable[[], Awaitable[None]]) -> None:
 
 
 async def connections(flood: Flood) -> None:
-    """Open connections as fast as possible and say nothing."""
+    """Open connections as fast as possible and send nothing."""
     await _open_and_keep(flood, b"")
 
 
 async def kept_connections(flood: Flood) -> None:
-    """Open connections, ask for something on each, and keep them."""
+    """Open connections, send one request on each, and keep them open."""
     host, port = flood.raw()
     await _open_and_keep(flood, f"GET /session HTTP/1.1\r\nHost: {host}:{port}\r\n\r\n".encode())
 
 
 async def _open_and_keep(flood: Flood, said: bytes) -> None:
-    """Keep two thousand at most."""
+    """Open connections and keep at most two thousand of them open."""
     _, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     resource.setrlimit(resource.RLIMIT_NOFILE, (hard, hard))
     host, port = flood.raw()
@@ -242,7 +244,7 @@ FLOODS: dict[str, Callable[[Flood], Awaitable[None]]] = {
 
 @contextlib.contextmanager
 def flooded(name: str, url: str, cookie: str, seconds: float = 60.0) -> Iterator[subprocess.Popen[str]]:
-    """Run a flood in a process of its own meanwhile; ``result`` ends and reads it."""
+    """Run a flood in a process of its own, from its first results on; :func:`result` ends it and reads its counts."""
     command = [sys.executable, str(Path(__file__)), name, url, cookie, str(seconds)]
     process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
     assert process.stdout is not None
@@ -262,6 +264,8 @@ def result(process: subprocess.Popen[str]) -> dict[str, int]:
 
 async def _run(name: str, flood: Flood, seconds: float) -> None:
     work = asyncio.ensure_future(FLOODS[name](flood))
+    while sum(flood.counts.values()) < HEIGHT and not work.done():
+        await asyncio.sleep(0.01)
     print("begun", flush=True)
     told = asyncio.get_running_loop().run_in_executor(None, sys.stdin.readline)
     begin_s = time.monotonic()

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any, TypeVar
 
 import pytest
+import rclpy
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
@@ -15,6 +17,7 @@ from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
 
 from icu_common.nodes.graph_node import GraphNode
+from icu_common.nodes.runtime import prepare_transport
 
 T = TypeVar("T", bound=Node)
 Describe = Callable[[], Any]
@@ -99,3 +102,17 @@ class Ros:
                 close()
             node.destroy_node()
         self.executor.shutdown()
+
+
+@contextmanager
+def participant(domain: int) -> Iterator[Ros]:
+    """Take part in a domain by a context of its own, with discovery on this host only."""
+    prepare_transport()
+    context = Context()
+    rclpy.init(context=context, domain_id=domain)
+    rig = Ros(context)
+    try:
+        yield rig
+    finally:
+        rig.close()
+        rclpy.shutdown(context=context)

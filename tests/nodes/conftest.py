@@ -8,14 +8,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import rclpy
 from nodes.bag_programs import Command, Start
-from rclpy.context import Context
 from rclpy.duration import Duration
-from ros_rig import Ros, domain_of_worker
+from ros_rig import Ros, domain_of_worker, participant
 
 from icu_common.nodes import qos
-from icu_common.nodes.runtime import prepare_transport
 
 
 @pytest.fixture
@@ -38,15 +35,8 @@ def ros(domain: int, tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> Iterator
     monkeypatch.setenv("ROS_LOG_DIR", str(tmp_path / "ros_log"))
     # A command dies on its way after a second. Whoever sends it here may be held up for longer before it is taken.
     monkeypatch.setattr(qos.COMMAND, "lifespan", Duration(seconds=60))
-    prepare_transport()
-    context = Context()
-    rclpy.init(context=context, domain_id=domain)
-    rig = Ros(context)
-    try:
+    with participant(domain) as rig:
         yield rig
-    finally:
-        rig.close()
-        rclpy.shutdown(context=context)
 
 
 @pytest.fixture

@@ -1,4 +1,4 @@
-"""A driver's node in a process of its own, its guard, and the board's own record of when it was held and lifted."""
+"""A driver's node in a process of its own, its guard, and the board's own record of holds and lifts."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class GuardRig:
         self.op = Operator(ros, self.board)
 
     def start(self) -> subprocess.Popen[bytes]:
-        """Start a node, and leave any that runs."""
+        """Start another node; running ones stay."""
         command = [sys.executable, "-m", "gantry_driver.nodes.serial_driver_node", "--ros-args"]
         for name, value in self.parameters.items():
             command += ["-p", f"{name}:={value}"]
@@ -59,13 +59,13 @@ class GuardRig:
         return guards_of(self.board.port)
 
     def press(self) -> None:
-        """Stand with the stylus extended."""
+        """Rest with the stylus extended."""
         self.op.go((0.1, 0.05, 0.0), (0.1, 0.05, DOWN_M), frame_id="press")
         self.op.until(lambda: self.op.results and self.op.results[-1].outcome.value == "reached")
         assert self.z_mm() < HOMED[2] - 1000.0 * DOWN_M + 0.1
 
     def drag(self) -> None:
-        """Move sideways with the stylus extended, slowly enough to be under way for seconds."""
+        """Move sideways with the stylus extended, slowly, so that the motion takes seconds."""
         self.op.go((0.05, 0.05, 0.0), (0.05, 0.05, DOWN_M), (0.061, 0.05, DOWN_M), (0.3, 0.05, DOWN_M), last_m_s=0.03)
         self.op.until(lambda: self.board.mpos()[0] > HOMED[0] + 65.0)
 
@@ -80,7 +80,7 @@ class GuardRig:
         return int(self.board.log()[-1]["n"])
 
     def until_lifted(self, within_s: float = 15.0) -> float:
-        """Return the board's time at which the stylus is seen to be up; the graph is served meanwhile."""
+        """Return the board's time at which the stylus was found up; serve the graph meanwhile."""
         end = time.monotonic() + within_s
         while True:
             state = self.board.ask("state")

@@ -1,4 +1,4 @@
-"""Player and recorder name each message that is missing, and end with a code of their own."""
+"""Player and recorder report missing messages by topic and end with their own exit code."""
 
 from __future__ import annotations
 
@@ -34,9 +34,9 @@ WORDS = QoSProfile(depth=1000)
 
 
 def foxy_marker() -> bytes:
-    """Return a Marker of Foxy, which has nothing about textures."""
+    """Return a Marker of Foxy, which has no textures."""
     data = serialize_message(Marker(ns="lab", text="a point"))
-    # Of Jazzy, behind the text: texture_resource, the texture's four fields, uv_coordinates.
+    # Fields of Jazzy after the text: texture_resource, the texture's four fields, uv_coordinates.
     at = data.index(b"a point\0") - 4
     return data[:at] + struct.pack("<I", 8) + b"a point\0" + struct.pack("<I", 1) + b"\0\0\0\0" + b"\0" * 4
 
@@ -82,7 +82,7 @@ def test_messages_that_metadata_announces_and_no_file_has_are_named(tmp_path: Pa
     described = (folder / "metadata.yaml").read_text()
     (folder / "metadata.yaml").write_text(described.replace("message_count: 20", "message_count: 25"))
     output = command("bag_play", str(folder), "--wait", "0").end(code=INCOMPLETE)
-    assert "missing: /talk: 5 of 25 messages: metadata.yaml announces them, and no file has them\n" in output
+    assert "missing: /talk: 5 of 25 messages: listed in metadata.yaml, but in no file\n" in output
 
 
 @forms
@@ -104,7 +104,7 @@ def test_an_excerpt_begins_with_the_last_latched_messages(
 
 
 def test_playback_waits_until_a_slow_subscriber_is_matched(ros: Ros, tmp_path: Path, command: Start) -> None:
-    """It is found later than a second after the player's start, as on a busy computer."""
+    """Discovery takes more than a second after the player's start, as on a busy computer."""
     program = command("bag_play", str(bag(tmp_path / "bag", ("jazzy", "mcap"), ROWS[:5])))
     watcher = ros.plain("watcher")
     ros.spin_until(lambda: watcher.count_publishers("/talk"), 40.0)
@@ -191,15 +191,15 @@ def test_a_name_that_returns_with_another_type_is_named(ros: Ros, tmp_path: Path
     talker.destroy_publisher(output)
     talker.create_publisher(Header, "words", KEPT)
     assert program.process.stdout is not None
-    said = "/words is not recorded: as std_msgs/msg/Header, beside std_msgs/msg/String"
+    said = "/words is not recorded: type std_msgs/msg/Header differs from std_msgs/msg/String"
     assert any(said in line for line in program.process.stdout)
-    loss = "missing: /words: all messages: not recorded: as std_msgs/msg/Header, beside std_msgs/msg/String"
+    loss = "missing: /words: all messages: not recorded: type std_msgs/msg/Header differs from std_msgs/msg/String"
     assert loss in program.end(signal.SIGINT, code=INCOMPLETE)
     assert words(tmp_path / "bag") == ["word"]
 
 
 def test_messages_that_the_middleware_loses_are_counted(ros: Ros, tmp_path: Path) -> None:
-    """A publisher of best effort that is faster than the queue of a recorder that is held up."""
+    """A best-effort publisher overruns the queue of a delayed recorder."""
     output = ros.plain("talker").create_publisher(String, "words", BEST_EFFORT)
     sink, account = BagSink(lambda: BagWriter(tmp_path / "bag", keep_free=0)), Account()
     recorder = BagRecorder(sink, ["words"], account=account, context=ros.context)
@@ -220,5 +220,5 @@ def test_messages_that_the_middleware_loses_are_counted(ros: Ros, tmp_path: Path
     sink.close()
     assert 0 < account.count == 1502 - sink.messages and not account.complete
     assert account.lines() == [
-        f"missing: /words: {account.count} messages: sent, and lost before the recorder took them"
+        f"missing: /words: {account.count} messages: sent, and lost before the recorder received them"
     ]

@@ -144,7 +144,7 @@ def test_a_link_that_is_closed_before_the_machine_is_at_rest_says_so(
     rig.link.close("enough")
     assert rig.notes[-2].startswith("the hold did not complete in 1.")
     assert rig.notes[-1] == (
-        "closed 1.5 s after the stop, while resetting: what the machine does is not known, the stylus may be down"
+        "closed 1.5 s after the stop, while resetting: the machine's state is unknown, the stylus may be down"
     )
 
 

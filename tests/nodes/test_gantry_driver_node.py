@@ -210,7 +210,7 @@ def test_a_trajectory_that_is_too_large_is_refused_before_it_is_unpacked(
     op.trajectory.publish(message)
     op.until(lambda: len(op.results) == 2)
     assert "bytes (limit 388096)" in op.results[-1].reason and unpacked == []
-    op.trajectory.publish(b"\x00\x01\x00\x00\xff")  # nothing that could be answered
+    op.trajectory.publish(b"\x00\x01\x00\x00\xff")  # too short to name a goal for an answer
     op.go((0.01, 0.0, 0.0), frame_id="sentinel")
     op.until(lambda: op.results[-1].outcome.value == "reached")
     assert [r.goal_id for r in op.results[2:]] == ["sentinel", "sentinel"] and len(unpacked) == 1

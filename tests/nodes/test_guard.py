@@ -1,4 +1,4 @@
-"""The guard: a node that ends, hangs or floods in contact leaves no stylus on the panel; nor does a guard that ends."""
+"""The guard lifts the stylus when a node ends, hangs or floods in contact, and when a guard ends."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ from icu_common.adapters.direct_stop.line import send_stop, stop_path
 from icu_common.core.frames import JOINTS
 
 HELD_S, LIFTS_S = 1.0, 2.0
-"""Bounds of a computer whose two cores are busy, by the board's own record; benchmarks/bench_guard.py has those of a
-free one. The test may be held up between the fault and its look at the board's clock, so that comes after it."""
+"""Limits in seconds on a busy computer with two cores, by the board's own record; benchmarks/bench_guard.py has those
+of a free one. The test reads the board's clock after the fault, because it may be delayed between the two."""
 NOT_LIFTED = "the stylus was not lifted, it may still press"
 
 Start = Callable[..., GuardRig]
@@ -56,7 +56,7 @@ def test_a_node_that_ends_or_hangs_in_contact_is_held_and_lifted(
     assert rig.held_s(since) - begun_s < HELD_S and rig.lift_s(since) - begun_s < LIFTS_S
     x, y, z = rig.board.mpos()
     assert z == pytest.approx(HOMED[2], abs=0.06) and y == pytest.approx(HOMED[1] + 50, abs=0.02)
-    assert x < HOMED[0] + 290, "it did not go to the end of its way"
+    assert x < HOMED[0] + 290, "it stopped before the end of its path"
     assert rig.board.counters().get("alarms", 0) == 0
 
 
@@ -70,7 +70,7 @@ def test_the_successor_of_a_node_publishes_the_state(start: Start) -> None:
     rig.start()
     rig.op.state("stopped: the driver's node has ended")
     rig.op.until(lambda: rig.op.call("reset").success)
-    rig.op.state("disabled")  # the machine is homed still, and a person enables it
+    rig.op.state("disabled")  # the machine is still homed; a person enables it
     assert rig.op.call("enable", SetBool, data=True).success
     rig.op.state("idle")
     rig.op.go((0.1, 0.1, 0.0))
@@ -113,7 +113,7 @@ def test_a_guard_that_is_killed_in_contact_is_started_again_and_lifts(start: Sta
     if keeps:
         rig.until_lifted()
         rig.op.state("stopped: the stylus was left down while no driver was connected")
-    else:  # the board was restarted by the opening of its port, and knows no position
+    else:  # opening the port restarted the board, so it has no position
         rig.op.state(f"unhomed: {NOT_LIFTED}")
         rig.op.until(lambda: rig.op.call("enable", SetBool, data=True).success)
         rig.op.until(lambda: rig.op.call("home").success)
@@ -147,35 +147,38 @@ def test_large_trajectories_from_another_process_delay_no_stop(start: Start) -> 
     rig = start()
     rig.press()
     source = f"""
-import sys, time, rclpy
+import time, rclpy
+from rclpy.event_handler import PublisherEventCallbacks
 from trajectory_msgs.msg import JointTrajectory
 from icu_common.nodes.qos import COMMAND
 rclpy.init()
 node = rclpy.create_node("foreign")
-publisher = node.create_publisher(JointTrajectory, "trajectory", COMMAND)
-while publisher.get_subscription_count() == 0:
-    time.sleep(0.01)
+matched = rclpy.task.Future()
+events = PublisherEventCallbacks(matched=matched.set_result)
+publisher = node.create_publisher(JointTrajectory, "trajectory", COMMAND, event_callbacks=events)
+rclpy.spin_until_future_complete(node, matched, timeout_sec=20.0)
+assert matched.done(), "the driver does not subscribe"
 data = open({str(rig.folder / "large")!r}, "rb").read()
 for _ in range(40):
     publisher.publish(data)
     print("sent", flush=True)
-    time.sleep(0.05)
+    time.sleep(0.05)  # the stimulus: 20 of them a second
 """
     point = JointTrajectoryPoint(positions=[0.1, 0.1, 0.0])
     short = bytes(serialize_message(JointTrajectory(joint_names=list(JOINTS), points=[point, point])))
     (rig.folder / "large").write_bytes(short[: -2 * 64 - 4] + struct.pack("<I", 200_000) + 200_000 * short[-64:])
     environment = {**os.environ, "ROS_DOMAIN_ID": str(rig.ros.context.get_domain_id())}
-    since = rig.entry()  # the foreign publisher may stop the machine before its first trajectory does
+    since = rig.entry()  # the foreign publisher may stop the machine before its first trajectory
     with subprocess.Popen([sys.executable, "-c", source], env=environment, stdout=subprocess.PIPE) as foreign:
         try:
             assert foreign.stdout is not None and foreign.stdout.readline() == b"sent\n"
             assert rig.op.call("stop").success
-            begun_s = rig.now_s()  # the service answers once the guard has the order
+            begun_s = rig.now_s()  # the service answers after the guard has received the stop
             rig.until_lifted()
             assert rig.held_s(since) - begun_s < HELD_S and rig.lift_s(since) - begun_s < LIFTS_S
         finally:
             foreign.kill()
-    rig.op.state("stopped: ")  # by the order, or because two programs publish trajectories
+    rig.op.state("stopped: ")  # by the service, or because two programs publish trajectories
 
 
 def test_a_second_driver_of_the_port_says_that_it_is_in_use(start: Start) -> None:

@@ -31,6 +31,7 @@ class Client:
         self.board = GrblBoard(folder, *board)
         self.states: list[str] = []
         self.outcomes: list[str] = []
+        self._news = threading.Event()
         self.stop_path = guard_folder() / f"stop_test_{os.getpid()}"
         config = DriverConfig(
             port=str(self.board.port), enabled_at_start=True, heartbeat_timeout_s=2.0, status_timeout_s=10.0
@@ -42,7 +43,7 @@ class Client:
         threading.Thread(target=self._beat, daemon=True).start()
 
     def _beat(self) -> None:
-        while not self._ended.wait(0.2):
+        while not self._ended.wait(0.2):  # the interval of the heartbeat
             self.link.tell("heartbeat", age_s=0.0)
 
     def _collect(self, events: list[Event]) -> None:
@@ -51,12 +52,16 @@ class Client:
                 self.states.append(event.text)
             elif isinstance(event, Answered):
                 self.outcomes.append(event.result.outcome.value)
+        self._news.set()
 
     def until(self, condition: Callable[[], object], within_s: float = 15.0) -> None:
         end = time.monotonic() + within_s
-        while not condition():
+        while True:
+            self._news.clear()
+            if condition():
+                return
             assert time.monotonic() < end, (self.states[-5:], self.outcomes[-3:], self.board.mpos())
-            time.sleep(0.005)
+            self._news.wait(0.01)  # a moving board causes no event: its position is read again
 
     def press(self) -> None:
         self.until(lambda: self.states[-1] == "unhomed")
@@ -117,7 +122,7 @@ def test_a_client_that_sends_garbage_is_disconnected_and_the_stylus_lifted(
     assert connection is not None
     os.write(connection.fileno(), garbage)
     client.until(client.lifted)
-    client.until(lambda: client.states[-1].startswith("stopped: the driver's node sent what cannot be read"))
+    client.until(lambda: client.states[-1].startswith("stopped: the driver's node sent an unreadable message"))
     client.until(lambda: client.link.ask("reset") == "")
     client.until(lambda: client.states[-1] in ("idle", "disabled"))
 
@@ -126,7 +131,7 @@ def test_a_guard_that_hangs_is_killed_and_started_again_and_lifts(start: Callabl
     client = start("--keep-running")
     (guard,) = guards_of(client.board.port)
     os.kill(guard, signal.SIGSTOP)
-    said = "disconnected: the guard hangs, it is started again; the stylus was not lifted, it may still press"
+    said = "disconnected: the guard hangs and is restarted; the stylus was not lifted, it may still press"
     client.until(lambda: said in client.states, 30.0)
     client.until(client.lifted, 30.0)
     client.until(lambda: client.states[-1] == "stopped: the stylus was left down while no driver was connected")

@@ -1,4 +1,4 @@
-"""What guards people cannot be weakened while the stylus presses: every such parameter of driver and controller."""
+"""No safety parameter of driver or controller can change while the stylus presses."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def board(ros: Any, tmp_path: Path) -> Iterator[GrblBoard]:
         ros.nodes.clear()
 
 
-def test_driver_keeps_its_guards_while_the_stylus_presses_or_moves(ros: Any, board: GrblBoard) -> None:
+def test_driver_keeps_its_safety_settings_while_the_stylus_presses_or_moves(ros: Any, board: GrblBoard) -> None:
     node = ros.node(SerialDriverNode, {"port": str(board.port), "trajectory_programs": "operator", **PATIENCE})
     op = Operator(ros, board).ready()
     op.go((0.05, 0.05, 0.03), frame_id="down")
@@ -63,14 +63,14 @@ def test_driver_keeps_its_guards_while_the_stylus_presses_or_moves(ros: Any, boa
     assert board.mpos()[2] == pytest.approx(-31.0, abs=0.1), "the stylus is down"
     assert_all_refused(node, DriverConfig, node._live, "the stylus is down")
     (free,) = node.set_parameters([Parameter("feed_m_s", value=0.05)])
-    assert free.successful, "what guards nobody changes at any time"
+    assert free.successful, "other parameters change at any time"
     op.go((0.05, 0.05, 0.0), frame_id="up")
     op.until(lambda: op.results[-1].goal_id == "up" and op.results[-1].outcome.value == "reached")
     (changed,) = node.set_parameters([Parameter("lift_on_stop", value=False)])
     assert changed.successful and node._live.config.lift_on_stop is False
 
 
-def test_controller_keeps_its_guards_while_the_stylus_is_extended(ros: Any) -> None:
+def test_controller_keeps_its_safety_settings_while_the_stylus_is_extended(ros: Any) -> None:
     bench = GantryBench(ros)
     bench.see()
     bench.spin_until_state("ready")

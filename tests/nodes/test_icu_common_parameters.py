@@ -118,7 +118,7 @@ class Guarded(Config):
     lamp: bool = setting(True, "lamp")
 
 
-def test_what_guards_people_changes_only_at_rest(ros: Any) -> None:
+def test_safety_settings_change_only_at_rest(ros: Any) -> None:
     node = ros.plain()
     unrest = ["it moves"]
     live = LiveParameters(node, Guarded, unrest=lambda: unrest[0])
@@ -134,6 +134,6 @@ def test_what_guards_people_changes_only_at_rest(ros: Any) -> None:
     assert live.config == Guarded(silence_s=2.0, lamp=False)
 
 
-def test_guards_need_to_know_whether_the_machine_is_at_rest(ros: Any) -> None:
-    with pytest.raises(TypeError, match="Guarded has settings that guard people"):
+def test_safety_settings_need_to_know_whether_the_machine_is_at_rest(ros: Any) -> None:
+    with pytest.raises(TypeError, match="Guarded has safety settings: unrest is required"):
         LiveParameters(ros.plain(), Guarded)

@@ -43,7 +43,7 @@ def test_large_message_is_not_unpacked_and_the_next_one_arrives(ros: Any, monkey
     outlet.publish(trajectory(3))
     ros.spin_until(lambda: heard, 20.0)
     assert heard == [3]
-    # On the wire a message is shorter than by serialize_message, which aligns in another way.
+    # On the wire a message is shorter than from serialize_message, which aligns differently.
     assert len(sizes) == 1 and sizes[0] > 20_000 * 3 * 8
     assert len(unpacked) == 1 and 3 * 3 * 8 < unpacked[0] < 2_000
 

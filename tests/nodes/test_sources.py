@@ -1,4 +1,4 @@
-"""Nodes detect a second program on a topic that only one may publish, while others may record and listen."""
+"""Nodes detect a second publisher of a topic for one source; recorders and subscribers do not count."""
 
 from __future__ import annotations
 
@@ -11,10 +11,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import rclpy
 from geometry_msgs.msg import PoseStamped
-from rclpy.context import Context
-from ros_rig import Ros
+from ros_rig import participant
 from std_msgs.msg import String
 
 from icu_common.nodes import qos
@@ -31,7 +29,7 @@ node = Node(sys.argv[1])
 out = node.create_publisher(PoseStamped, "panel/pose", 10)
 print("there", flush=True)
 while rclpy.ok():
-    time.sleep(0.02)
+    time.sleep(0.02)  # the stimulus: 50 poses a second
     out.publish(PoseStamped())
 """
 
@@ -105,7 +103,7 @@ def test_program_that_is_killed_and_started_again_is_one(ros: Any, start: Callab
     old.kill()
     old.wait()
     start("recognition")
-    # The killed one is in the graph until its lease ends.
+    # The killed program stays in the graph until its lease ends.
     ros.spin_until(lambda: len(node.get_publishers_info_by_topic("/panel/pose")) == 2, 20.0)
     node.poses = 0
     ros.spin_until(lambda: node.poses > 50, 20.0)
@@ -161,12 +159,6 @@ def test_nodes_of_one_process_are_sources_of_their_own(ros: Any) -> None:
 def test_programs_of_another_participant_of_this_process_are_alive(ros: Any) -> None:
     node = ros.node(Watcher)
     ros.plain("first").create_publisher(PoseStamped, TOPIC, 10)
-    context = Context()
-    rclpy.init(context=context, domain_id=ros.context.get_domain_id())
-    other = Ros(context)
-    try:
+    with participant(ros.context.get_domain_id()) as other:
         other.plain("first").create_publisher(PoseStamped, TOPIC, 10)
         ros.spin_until(lambda: node.texts, 10.0)
-    finally:
-        other.close()
-        rclpy.shutdown(context=context)

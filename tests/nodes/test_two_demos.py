@@ -9,11 +9,11 @@ import re
 import shutil
 import signal
 import subprocess
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from deadlines import wait_until
 
 ROOT = Path(__file__).resolve().parents[2]
 DEADLINE_S = 90.0
@@ -81,19 +81,14 @@ def program(package: str, name: str) -> str:
     return str(ROOT / "ros2_ws/install" / package / "lib" / package / name)
 
 
-def wait_for(condition: Callable[[], object], what: Callable[[], str]) -> None:
-    end = time.monotonic() + DEADLINE_S
-    while not condition():
-        assert time.monotonic() < end, what()
-        time.sleep(0.1)
-
-
 def test_two_demos_run_side_by_side(computer: Computer, tmp_path: Path) -> None:
     parts = [word for part in PARTS for word in ("--without", part)]
     outputs = [tmp_path / "first", tmp_path / "second"]
     for output in outputs:
         computer.start(output, program("scope_bench", "bring_up"), "--config", str(ROOT / "config"), *parts)
-        wait_for(lambda output=output: "?token=" in output.read_text(), output.read_text)
+        wait_until(
+            lambda output=output: "?token=" in output.read_text(), "the page's address", DEADLINE_S, output.read_text
+        )
     first, second = (output.read_text() for output in outputs)
     assert "http://127.0.0.1:8080/?token=" in first and "ROS domain" not in first
     assert "http://127.0.0.1:8081/?token=" in second
@@ -104,7 +99,8 @@ def test_two_demos_run_side_by_side(computer: Computer, tmp_path: Path) -> None:
 
     prepare = tmp_path / "prepare"
     process = computer.start(prepare, program("gantry_driver", "gantry_prepare"), "--json", ROS_DOMAIN_ID="1")
-    wait_for(lambda: '"stage": "cameras"' in prepare.read_text() or process.poll() is not None, prepare.read_text)
+    looks = lambda: '"stage": "cameras"' in prepare.read_text() or process.poll() is not None  # noqa: E731
+    wait_until(looks, "the preparation waits for cameras", DEADLINE_S, prepare.read_text)
     stages = [json.loads(line)["stage"] for line in prepare.read_text().splitlines()]
     assert "homing" in stages and stages[-1] == "cameras", prepare.read_text()
     logs = [(folder / "logs" / "bring_up.log").read_text() for folder in (state, state / "domain-1")]

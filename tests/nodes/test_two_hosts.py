@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from deadlines import wait_until
 from line_socket import BoardSocket
 from ros_rig import domain_of_worker
 
@@ -56,10 +57,8 @@ class TwoHosts:
     @staticmethod
     def _wait_for_cable(name: str, end: str) -> None:
         # Fast DDS uses the interfaces that it finds running at its start.
-        deadline = time.monotonic() + 5.0
-        while ip("-n", name, "-brief", "link", "show", "dev", end).split()[1] != "UP":
-            assert time.monotonic() < deadline, "the cable did not come up"
-            time.sleep(0.02)
+        up = lambda: ip("-n", name, "-brief", "link", "show", "dev", end).split()[1] == "UP"  # noqa: E731
+        wait_until(up, "the cable is up", 5.0)
 
     def start(self, host: str, *command: str, environment: dict[str, str], **options: Any) -> subprocess.Popen[bytes]:
         # Fast DDS takes two hosts with one machine id for the same, and would use shared memory between them.
@@ -141,13 +140,12 @@ class Desk:
 
     def ask(self, name: str, within_s: float = 20.0, **order: Any) -> None:
         """Call a service until it says yes: discovery, a heartbeat or a lift may still be under way."""
-        deadline = time.monotonic() + within_s
-        while True:
+
+        def accepted() -> bool:
             self.do(**(order or {"call": name}))
-            if self.until(lambda line: line.get("answer") == name, within_s)["success"]:
-                return
-            assert time.monotonic() < deadline, self.heard[-5:]
-            time.sleep(0.1)  # a pause between questions, not a wait for a time
+            return bool(self.until(lambda line: line.get("answer") == name, within_s)["success"])
+
+        wait_until(accepted, f"{name} is accepted", within_s, lambda: self.heard[-5:])
 
     def homes(self) -> None:
         """Home; once more where the desk was held up: it was an operator who has gone then, as it should be."""
@@ -166,11 +164,14 @@ class Desk:
 
     def goes(self, x_m: float, y_m: float, within_s: float = 20.0) -> None:
         """Go there; the controller hears of the heartbeat and of the end of homing later than the desk perhaps."""
-        deadline = time.monotonic() + within_s
         early = ("rejected no operator heartbeat", "rejected the driver is 'homing', 'idle' is needed")
-        while (end := self.ends(self.go(x_m, y_m))) != "reached":
-            assert end.startswith(early) and time.monotonic() < deadline, end
-            time.sleep(0.1)  # a pause between questions, not a wait for a time
+
+        def reached() -> bool:
+            end = self.ends(self.go(x_m, y_m))
+            assert end == "reached" or end.startswith(early), end
+            return end == "reached"
+
+        wait_until(reached, "the goal is reached", within_s)
 
     def ends(self, goal: str) -> str:
         """Return how a goal ended."""
@@ -254,11 +255,9 @@ def test_the_link_is_cut_and_restored(found_by: str, hosts: TwoHosts, tmp_path: 
         before = board.holds()
         cut_s = time.monotonic()
         cut()
-        while (holds := board.holds()) == before:
-            assert time.monotonic() < cut_s + 20.0, "the driver did not hold"
-            time.sleep(0.01)
+        holds = wait_until(lambda: board.holds()[len(before) :], "the driver holds", 20.0)
         # By the board's clock: it does not matter when this process hears of it.
-        held_s = holds[len(before)] + board.clock_s()[0] - cut_s
+        held_s = holds[0] + board.clock_s()[0] - cut_s
         print(f"{found_by}: hold {1e3 * held_s:.0f} ms after the cut")
         assert held_s < 1.0
         if found_by == "peer":  # a server does not tell its clients that another one is gone

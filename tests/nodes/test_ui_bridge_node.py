@@ -10,7 +10,6 @@ import struct
 import subprocess
 import sys
 import threading
-import time
 from collections import Counter
 from collections.abc import Awaitable, Callable
 from dataclasses import replace
@@ -21,6 +20,7 @@ from typing import Any
 import aiohttp
 import numpy as np
 import pytest
+from deadlines import wait_until
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PointStamped, PoseStamped, TransformStamped
 from pinhole import pinhole
@@ -492,9 +492,8 @@ def test_the_program_is_scheduled_before_ordinary_ones_or_says_why_not(tmp_path:
     with (tmp_path / "said").open("w+") as said:
         process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=said)
         try:
-            deadline = time.monotonic() + 60.0
-            while not (tmp_path / "token").exists() and process.poll() is None and time.monotonic() < deadline:
-                time.sleep(0.05)
+            ready = lambda: (tmp_path / "token").exists() or process.poll() is not None  # noqa: E731
+            wait_until(ready, "the bridge writes its token", 60.0)
             threads = [int(path.name) for path in Path(f"/proc/{process.pid}/task").iterdir()]
             found = Counter((os.sched_getscheduler(n), os.sched_getparam(n).sched_priority) for n in threads)
         finally:
@@ -509,7 +508,7 @@ def test_the_program_is_scheduled_before_ordinary_ones_or_says_why_not(tmp_path:
 def test_texts_of_others_are_cut_and_escaped_for_audit_file_page_and_console(ros: Any, bridge: Any) -> None:
     graph, browser, _, folder = bridge
     shown(ros, graph, browser)
-    foul = "\x1b[2J\n" + 100_000 * "x"  # more is dropped before it is unpacked
+    foul = "\x1b[2J\n" + 100_000 * "x"  # a larger message is dropped before it is unpacked
     result = GoalResult(goal_id="a", goal="press:\x1b[31m", outcome=Outcome.ACCEPTED)
     for answer in (result, replace(result, outcome=Outcome.ABORTED, reason=foul)):
         graph.publish("gantry/result", result_message(answer, graph.now()))
@@ -591,7 +590,7 @@ def test_stop_goes_out_as_message_and_as_service(ros: Any, bridge: Any) -> None:
 
 
 def test_a_stop_reaches_the_guard_past_the_graph(ros: Any) -> None:
-    """Also where the driver's node is gone: its guard is still there to hold and lift."""
+    """It does so also after the driver's node has ended: its guard still holds and lifts."""
     node = ros.node(BridgeNode, {"port": 0, "token_file": ""})
     answers: list[tuple[bool, str]] = []
     path = stop_path(ros.context.get_domain_id(), "/gantry/stop_request")
@@ -693,9 +692,7 @@ def test_change_of_a_parameter_is_shown_on_the_page_and_in_the_audit_file(
 
 
 @pytest.mark.parametrize("extended", [False, True])
-def test_what_guards_the_operator_stays_while_the_machine_moves_or_presses(
-    ros: Any, bridge: Any, extended: bool
-) -> None:
+def test_safety_settings_stay_while_the_machine_moves_or_presses(ros: Any, bridge: Any, extended: bool) -> None:
     graph, _, node, _ = bridge
 
     def unrest() -> str:

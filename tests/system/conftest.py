@@ -184,7 +184,7 @@ PATIENT = {
 def started_graph(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningGraph]:
     """A graph as it is after its start: neither homed nor calibrated; the tests of a session share it."""
     patience = [text for name, value in PATIENT.items() for text in ("--set", f"ui_bridge.{name}={value}")]
-    # Beside the operator of the tests, command-line programs run.
+    # The tests also run command-line programs next to their operator.
     programs = f"{PROGRAMS} operator"
     nodes = ("serial_driver", "gantry_controller")
     patience += [text for node in nodes for text in ("--set", f"{node}.heartbeat_programs={programs}")]

@@ -9,9 +9,10 @@ import random
 import selectors
 import socket
 import threading
-import time
 import tty
 from pathlib import Path
+
+from deadlines import wait_until
 
 from gantry_driver.mock.pty_port import OPEN_POLL_S, PtyPort
 from gantry_driver.mock.serial_line import Damage
@@ -100,16 +101,14 @@ class DamagingProxy:
             self._port.poll()
 
     def _opened(self) -> None:
-        deadline = time.monotonic() + PLUGGED_WITHIN_S
-        while True:
-            try:
-                self._board = os.open(self._board_path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
-                break
-            except FileNotFoundError:
-                assert time.monotonic() < deadline, f"no board at {self._board_path} within {PLUGGED_WITHIN_S:g} s"
-                time.sleep(OPEN_POLL_S)
-        tty.setraw(self._board)
-        self._selector.register(self._board, selectors.EVENT_READ, self._from_board)
+        def opened() -> int | None:
+            with contextlib.suppress(FileNotFoundError):
+                return os.open(self._board_path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+            return None
+
+        self._board = board = wait_until(opened, f"a board at {self._board_path}", PLUGGED_WITHIN_S)
+        tty.setraw(board)
+        self._selector.register(board, selectors.EVENT_READ, self._from_board)
 
     def _close_board(self) -> None:
         if self._board is not None:

@@ -8,19 +8,16 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
-import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PointStamped
-from rclpy.context import Context
 from rclpy.parameter import Parameter
-from ros_rig import Ros, keeping_all
+from ros_rig import Ros, keeping_all, participant
 from std_msgs.msg import Header, String
 from std_srvs.srv import Trigger
 
 from icu_common.core.results import GoalResult, Outcome
 from icu_common.nodes import qos
 from icu_common.nodes.conversions import header, point_message, result_of_message
-from icu_common.nodes.runtime import prepare_transport
 
 
 class Operator:
@@ -149,14 +146,8 @@ class Operator:
 @pytest.fixture
 def operator(running_graph: Any, monkeypatch: pytest.MonkeyPatch) -> Iterator[Operator]:
     monkeypatch.setenv("ROS_LOG_DIR", running_graph.environment["ROS_LOG_DIR"])
-    prepare_transport()
-    context = Context()
-    rclpy.init(context=context, domain_id=int(running_graph.environment["ROS_DOMAIN_ID"]))
-    ros = Ros(context)
-    with contextlib.ExitStack() as ending:
-        ending.callback(rclpy.shutdown, context=context)
-        ending.callback(ros.close)
+    with participant(int(running_graph.environment["ROS_DOMAIN_ID"])) as ros:
         operator = Operator(ros)
-        ending.callback(operator.close)
-        operator.wait_until_ready(running_graph.tail)
-        yield operator
+        with contextlib.closing(operator):
+            operator.wait_until_ready(running_graph.tail)
+            yield operator

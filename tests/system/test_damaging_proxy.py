@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import os
 import random
+import select
 import time
 import tty
 from pathlib import Path
 
+from deadlines import wait_until
 from nodes.grbl_board import GrblBoard
 from system.damaging_proxy import DamagingProxy, Direction
 
@@ -38,10 +40,7 @@ def test_the_proxy_opens_the_board_with_the_driver_and_passes_bytes_on(tmp_path:
                 os.write(port, b"$G\n")
                 assert "[GC:G0 G54" in read_until(port, "ok\r\n")
                 os.close(port)
-                deadline = time.monotonic() + ANSWER_WITHIN_S
-                while board.ask("state")["open"]:
-                    assert time.monotonic() < deadline, "the board's port is still open"
-                    time.sleep(0.01)
+                wait_until(lambda: not board.ask("state")["open"], "the board's port is closed", ANSWER_WITHIN_S)
                 assert len(board.log(0, "opened")) == number
             assert proxy.to_board.count == proxy.from_board.count == 0
             assert [entry["text"] for entry in board.lines()] == ["$G", "$G"]
@@ -52,9 +51,6 @@ def test_the_proxy_opens_the_board_with_the_driver_and_passes_bytes_on(tmp_path:
 def read_until(port: int, end: str) -> str:
     deadline, text = time.monotonic() + ANSWER_WITHIN_S, ""
     while end not in text:
-        assert time.monotonic() < deadline, text
-        try:
-            text += os.read(port, 4096).decode()
-        except BlockingIOError:
-            time.sleep(0.01)
+        assert select.select([port], [], [], max(deadline - time.monotonic(), 0.0))[0], text
+        text += os.read(port, 4096).decode()
     return text

@@ -144,7 +144,7 @@ class Scene:
             except OSError:
                 continue  # it has ended meanwhile
             if "scope_bench.cli.fork_server" in line or "gantry_driver.cli.gantry_guard" in line:
-                continue  # one starts them, the other belongs to the driver's node
+                continue  # not a node: the launcher, and the driver's guard
             name = re.search(r"__node:=(\S+)", line)
             found[name[1] if name else "mock_grbl" if "mock_grbl" in line else line] = int(child)
         return found
@@ -174,7 +174,7 @@ class Scene:
             return operator.start_long_move()
         if during == "homing":
             self.prepared(SetBool, "/gantry/enable", SetBool.Request(data=True))
-            # A driver that was started again hears the heartbeat a moment after its services are there.
+            # A restarted driver receives the heartbeat a moment after its services exist.
             self.until(lambda: operator.call("/gantry/home").success, 10.0, "homing is accepted")
             self.until(lambda: operator.driver_state == "homing", 10.0, "homing")
         if during in ("rest", "homing"):
@@ -253,7 +253,7 @@ class Scene:
             self.until(lambda: not unwell(), 25.0, lambda: f"{unwell()} do not report that they are well")
         if "serial_driver" in row.killed:  # else its predecessor's services, which nobody serves, would be asked
             restart = self.operator.driver_states
-            # The guard keeps the port, and the position, for a successor that comes in time.
+            # The guard keeps the port and the position for a node that starts in time.
             there = re.compile("unhomed|stopped: the driver's node has ended")
             self.until(lambda: any(there.match(s.data) for s in restart[states:]), 25.0, "the driver is there again")
             if self.operator.driver_state.startswith("stopped"):

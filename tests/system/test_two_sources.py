@@ -1,18 +1,15 @@
-"""A second program on a topic that only one may publish: the stylus never comes down where that one wants it."""
+"""A second program on a topic for one source: the stylus never moves down at that program's position."""
 
 from __future__ import annotations
 
-import contextlib
 import time
 from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 import pytest
-import rclpy
 from geometry_msgs.msg import PoseStamped
-from rclpy.context import Context
-from ros_rig import Ros
+from ros_rig import Ros, participant
 from std_msgs.msg import Header, String
 from system.terminal_operator import Operator
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
@@ -34,13 +31,8 @@ UP_M = -0.001
 
 @pytest.fixture
 def foreign(running_graph: Any) -> Iterator[Ros]:
-    """Another participant of the graph, whose node is called ``foreign``."""
-    context = Context()
-    rclpy.init(context=context, domain_id=int(running_graph.environment["ROS_DOMAIN_ID"]))
-    with contextlib.ExitStack() as ending:
-        ending.callback(rclpy.shutdown, context=context)
-        ros = Ros(context)
-        ending.callback(ros.close)
+    """Another participant of the graph, with a node ``foreign``."""
+    with participant(int(running_graph.environment["ROS_DOMAIN_ID"])) as ros:
         ros.plain("foreign")
         yield ros
 
@@ -69,7 +61,7 @@ class ForeignPose:
 
 
 def both(operator: Operator, foreign: Ros, condition: Any, within_s: float) -> float:
-    """Spin both participants until the condition holds; return the seconds that took."""
+    """Spin both participants until the condition holds; return the elapsed seconds."""
     began_s = time.monotonic()
 
     def held() -> Any:
@@ -89,7 +81,7 @@ def tip_z_m(graph: Any) -> float:
 
 
 def goes_on(operator: Operator, graph: Any) -> None:
-    """A person's reset lets the next press reach its key."""
+    """Assert that the next press reaches its key after a person's reset."""
     operator.reset()
     start = len(graph.truth_log())
     operator.command.publish(String(data="press:SINGLE id=afterwards"))

@@ -390,7 +390,7 @@ def test_a_hidden_control_is_waited_for_and_then_refused() -> None:
     bench.run(0.5)
     sent = len(bench.paths)
     result = bench.do("press:RUN_STOP")
-    assert result.outcome is Outcome.ABORTED and "hides RUN_STOP" in result.reason, result
+    assert result.outcome is Outcome.ABORTED and "still hides RUN_STOP" in result.reason, result
     assert "nothing was moved" in result.reason and len(bench.paths) == sent
 
 
@@ -440,7 +440,7 @@ def test_a_hand_that_comes_between_ends_the_gesture_above_the_panel(phase: Phase
     bench = seeing(look_timeout_s=20.0)
     bench.on_phase[phase] = lambda b: (b.hidden.update(RUN_STOP="something"), b.talking.discard("tip"))
     result = bench.do("press:RUN_STOP")
-    assert result.outcome is Outcome.ABORTED and "something (a hand?) hides RUN_STOP" in result.reason, result
+    assert result.outcome is Outcome.ABORTED and "something (a hand?) has hidden RUN_STOP" in result.reason, result
     assert bench.readings[2] == 0.0 and contacts(bench, BUTTON_Z) == []
 
 

@@ -83,7 +83,7 @@ def test_a_hand_over_what_came_into_the_picture_ends_the_gesture_above_it() -> N
     bench.controller.config = dataclasses.replace(bench.controller.config, look_timeout_s=20.0)
     bench.on_phase[Phase.LOOK] = lambda b: (b.hidden.update(RUN_STOP="something"), b.talking.discard("tip"))
     result = bench.do("press:RUN_STOP")
-    assert result.outcome is Outcome.ABORTED and "hides RUN_STOP" in result.reason, result
+    assert result.outcome is Outcome.ABORTED and "hidden RUN_STOP" in result.reason, result
     assert min(tip[2] for tip in bench.lowest) > BUTTON_Z and bench.readings[2] == 0.0
 
 

@@ -159,7 +159,7 @@ def test_a_request_for_a_report_that_raises_the_feed_is_set_back_while_the_next_
         if not raised and b"?" in data:
             raised.append(rig.now)
             return data.replace(b"?", b"\x91", 1)
-        # the noise goes on for four more bytes
+        # the noise lasts for four more bytes
         left = 5 - len(raised)
         raised.extend([rig.now] * min(left, len(data)))
         return b"\xd5" * min(left, len(data)) + data[left:] if left > 0 else data

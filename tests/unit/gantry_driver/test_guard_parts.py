@@ -1,4 +1,4 @@
-"""The parts of the guard that need no process: frames, the judgement of a silent node, the clock."""
+"""Parts of the guard that need no process: frames, the judgement of a silent node, the clock."""
 
 from __future__ import annotations
 
@@ -66,11 +66,11 @@ def test_frames_that_arrive_together_come_one_after_the_other() -> None:
 @pytest.mark.parametrize(
     ("data", "reason"),
     [
-        (struct.pack(">I", MAX_FRAME_BYTES + 1), f"a frame of {MAX_FRAME_BYTES + 1} bytes"),
-        (struct.pack(">I", 3) + b"abc", "no JSON"),
-        (struct.pack(">I", 2) + b"[]", "no JSON object"),
-        (struct.pack(">I", 10_000) + 10_000 * b"[", "no JSON"),
-        (struct.pack(">I", 0), "no JSON"),
+        (struct.pack(">I", MAX_FRAME_BYTES + 1), f"the frame has {MAX_FRAME_BYTES + 1} bytes"),
+        (struct.pack(">I", 3) + b"abc", "not JSON"),
+        (struct.pack(">I", 2) + b"[]", "not a JSON object"),
+        (struct.pack(">I", 10_000) + 10_000 * b"[", "not JSON"),
+        (struct.pack(">I", 0), "not JSON"),
     ],
 )
 def test_what_is_no_frame_is_refused_by_its_length_first(data: bytes, reason: str) -> None:
@@ -145,7 +145,7 @@ def test_the_commands_do_with_a_machine_what_their_names_say() -> None:
 
 
 def look_for(watch: SilenceWatch, seconds: float, thread: ThreadSample | None, step_s: float = 0.01) -> float | None:
-    """Look every 10 ms; return after how long the node counted as hung."""
+    """Look every 10 ms; return the seconds after which the node counted as hung."""
     now, ran_ns = watch_start(watch), 0
     for count in range(1, int(seconds / step_s) + 1):
         sample = {} if thread is None else {1: thread}
@@ -176,7 +176,7 @@ def test_only_a_node_that_waits_for_the_processor_is_excused_and_not_for_ever(
 
 
 def test_a_node_that_gets_a_share_of_the_processor_is_excused_for_the_rest() -> None:
-    """Of each 20 ms it runs for 5 and waits for 15: it counts as hung once it has run for 0.1 s, or at the bound."""
+    """The node runs for 5 of each 20 ms and waits for 15: it counts as hung after a run of 0.1 s, or at the bound."""
     watch, found = SilenceWatch(0.1, 0.0, late_s=5.0), None
     watch.beat(100.0)
     for count in range(1, 200):

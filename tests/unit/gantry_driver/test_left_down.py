@@ -1,4 +1,4 @@
-"""A reconnect to a board that went on running with the stylus down: the first motion lifts it."""
+"""A reconnection to a board that kept running with the stylus down: the first motion lifts it."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def left_pressing() -> Rig:
 
 
 def reopen(rig: Rig) -> None:
-    """Open the port of a board that is not reset by it."""
+    """Open the port of a board that this does not reset."""
     rig.board.out.clear()
     rig.board.received.clear()
     rig.machine.opened(rig.now)

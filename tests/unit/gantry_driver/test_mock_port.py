@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-import select
 import signal
 import stat
 import subprocess
@@ -18,6 +17,7 @@ from typing import Any
 
 import pytest
 import serial
+from deadlines import wait_until
 from line_socket import LineSocket
 from unit.gantry_driver.mock_rig import BANNER, FREE, UNLOCK
 
@@ -77,10 +77,7 @@ def start(tmp_path: Path) -> Iterator[Callable[..., Running]]:
 
 
 def wait_for(condition: Callable[[], bool]) -> None:
-    deadline = time.monotonic() + DEADLINE_S
-    while not condition():
-        assert time.monotonic() < deadline, "the condition did not come true"
-        select.select([], [], [], 0.005)
+    wait_until(condition, "the condition", DEADLINE_S)
 
 
 def expect(port: Port, ending: bytes) -> bytes:

@@ -426,7 +426,7 @@ def test_a_line_that_must_go_alone_does_not_make_the_wire_the_limit() -> None:
 
 
 def test_a_late_report_counts_as_asked_for_by_the_first_question_though_later_ones_were_repeated() -> None:
-    """Else the board seems to have gone farther since then than it can."""
+    """Counted from a later question, the board would seem to have moved farther than it can."""
     session = started()
     session.poll_interval_s, session.sets_feed_back = 0.04, True
     session.polling = True

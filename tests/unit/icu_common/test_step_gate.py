@@ -151,7 +151,7 @@ def test_message_that_was_counted_for_a_process_that_was_ending_costs_half_a_sec
     assert gate.settled()
     detector.leave()
     assert gate.settled()
-    camera.expect("/image", 2)  # it has read the number of subscriptions before
+    camera.expect("/image", 2)  # it read the number of subscriptions earlier
     camera.finish("/image")
     gate.settled()
     clock.now_s += 0.4
@@ -163,7 +163,7 @@ def test_message_that_was_counted_for_a_process_that_was_ending_costs_half_a_sec
     camera.expect("/image")
     assert not gate.settled()
     clock.now_s += 4.9
-    assert not gate.settled(), "long after, the patience is the usual one"
+    assert not gate.settled(), "later the usual patience applies"
 
 
 def test_process_that_has_ended_is_not_waited_for(tmp_path: Path, ledgers: list[StepLedger], clock: Clock) -> None:

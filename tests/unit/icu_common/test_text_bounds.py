@@ -1,4 +1,4 @@
-"""Texts from outside: how deep they nest, and what is left of them where they are shown."""
+"""Texts from outside: their nesting depth, and their cut and escaped form."""
 
 from __future__ import annotations
 

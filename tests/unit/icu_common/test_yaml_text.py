@@ -23,7 +23,7 @@ def test_values_are_those_of_yaml_and_numbers_with_an_exponent() -> None:
 @pytest.mark.parametrize(
     ("pair", "message"),
     [
-        ("k", "'k': KEY=VALUE is needed"),
+        ("k", "'k': expected KEY=VALUE"),
         ("k=[1", "'k=[1': the value cannot be read"),
         ("k=2026-13-45", "'k=2026-13-45': the value cannot be read"),
     ],

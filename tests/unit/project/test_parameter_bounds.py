@@ -1,4 +1,4 @@
-"""Every parameter of every node: numbers have bounds, all have a reason, and those that guard people are known."""
+"""Every parameter of every node: numbers have bounds, all have a description, and safety parameters are listed."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ GUARDS = {
         *("silence_stop_s", "picture_stop_s", "jog_hold_s", "jog_step_max_m", "lease_timeout_s"),
     },
 }
-"""What guards people, by hand: a setting that loses its mark is found here."""
+"""Safety settings, listed by hand: a test fails if one loses its mark."""
 
 
 def configurations() -> Iterator[type[Config]]:
@@ -71,13 +71,13 @@ def test_parameter_has_bounds_and_a_reason(name: str) -> None:
 
 
 @pytest.mark.parametrize("config_class", GUARDS)
-def test_what_guards_people_is_marked_with_its_reason(config_class: type[Config]) -> None:
+def test_safety_settings_are_marked_with_their_reason(config_class: type[Config]) -> None:
     marked = {i.name: i.setting.guards for i in settings_of(config_class) if i.setting.guards}
     assert set(marked) == GUARDS[config_class]
     assert all(len(reason.split()) >= 4 for reason in marked.values())
 
 
-def test_only_these_configurations_guard_people() -> None:
+def test_only_these_configurations_have_safety_settings() -> None:
     assert {c for c, item in ITEMS.values() if item.setting.guards} == set(GUARDS)
 
 
@@ -94,7 +94,7 @@ def test_only_these_configurations_guard_people() -> None:
     ],
 )
 @pytest.mark.parametrize("value", [1e9, 400.0])
-def test_time_in_which_nobody_guards_has_a_maximum_near_its_purpose(
+def test_time_limit_of_a_safety_setting_has_a_maximum_near_its_purpose(
     config_class: type[Config], name: str, most: float, value: float
 ) -> None:
     with pytest.raises(ConfigError, match=f"{name} = .* is above its maximum {most:g} s"):

@@ -11,6 +11,7 @@ import time
 from pathlib import Path
 
 import pytest
+from deadlines import wait_until
 
 ROOT = Path(__file__).resolve().parents[3]
 DEADLINE_S = 60.0
@@ -156,12 +157,13 @@ def test_a_disk_without_space_is_told_before_anything_is_installed(folder: Folde
 @pytest.mark.parametrize("step", ["FAKE_SLOW_VENV", "FAKE_SLOW_PIP"])
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM])
 def test_ctrl_c_ends_every_child_and_the_next_run_recovers(step: str, how: signal.Signals, folder: Folder) -> None:
-    end = time.monotonic() + DEADLINE_S
     with folder.start(**{step: "1"}) as process:
-        while not ((folder.fake / "child").exists() and (folder.fake / "child").read_text().strip()):
-            assert time.monotonic() < end and process.poll() is None
-            time.sleep(0.02)
-        child = int((folder.fake / "child").read_text())
+
+        def started() -> str:
+            assert process.poll() is None
+            return (folder.fake / "child").read_text().strip() if (folder.fake / "child").exists() else ""
+
+        child = int(wait_until(started, "the step has started", DEADLINE_S))
         begun = time.monotonic()
         process.send_signal(how)
         process.send_signal(signal.SIGINT)
@@ -169,8 +171,13 @@ def test_ctrl_c_ends_every_child_and_the_next_run_recovers(step: str, how: signa
         assert process.returncode == (130 if how == signal.SIGINT else 143)
         assert time.monotonic() - begun < 20.0
     assert b"Traceback" not in output and b"error" not in output
-    while Path(f"/proc/{child}").exists() and Path(f"/proc/{child}/stat").read_text().rpartition(")")[2][1] != "Z":
-        assert time.monotonic() < end
-        time.sleep(0.02)
+
+    def ended() -> bool:
+        try:
+            return Path(f"/proc/{child}/stat").read_text().rpartition(")")[2][1] == "Z"
+        except (FileNotFoundError, ProcessLookupError):
+            return True
+
+    wait_until(ended, "the child has ended", DEADLINE_S)
     code, text = folder.run()
     assert code == 0, text

@@ -1,4 +1,4 @@
-"""What a recorder leaves out when it must, and bags in several files or with compressed chunks."""
+"""Messages that an overloaded recorder leaves out; bags in several files, or with compressed chunks."""
 
 from __future__ import annotations
 
@@ -123,7 +123,7 @@ def test_compressed_chunks_are_read_by_the_official_library(tmp_path: Path) -> N
     assert seen == rows
     with BagReader(tmp_path / "bag") as bag:
         assert list(bag.messages()) == rows
-    with pytest.raises(BagError, match="not in sqlite3"):
+    with pytest.raises(BagError, match="not sqlite3"):
         BagWriter(tmp_path / "other", "sqlite3", zstd_chunks=True)
 
 

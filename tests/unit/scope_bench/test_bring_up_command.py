@@ -7,11 +7,11 @@ import shutil
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+from deadlines import wait_until
 
 from scope_bench.adapters.configuration_folder import configuration_folder
 from scope_bench.cli import bring_up, composed
@@ -236,12 +236,15 @@ def test_programs_go_on_and_end_while_the_terminal_takes_no_output(
 ) -> None:
     """After Control-S nobody read what they print; a driver that waits for that tells nobody where it is."""
     (tmp_path / "lib" / "p" / "driver").write_text(TALKATIVE)
-    log, end = tmp_path / "log", time.monotonic() + DEADLINE_S
+    log = tmp_path / "log"
     board = tmp_path / "lib" / "p" / "board hears"
     with two() as process:  # whose output is read by nobody before it has ended
-        while not (log.exists() and "driver has said all" in log.read_text() and board.exists()):
-            assert time.monotonic() < end and process.poll() is None
-            time.sleep(0.05)
+
+        def written() -> bool:
+            assert process.poll() is None
+            return log.exists() and "driver has said all" in log.read_text() and board.exists()
+
+        wait_until(written, "the driver has written all its output", DEADLINE_S)
         process.send_signal(signal.SIGINT)
         assert process.wait(DEADLINE_S) == 0
     ended = log.read_text().splitlines()[1:]

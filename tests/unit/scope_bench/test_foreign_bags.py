@@ -1,4 +1,4 @@
-"""Bags of others are read whole: what metadata.yaml says of QoS and times leaves no message out."""
+"""Foreign bags are read completely: QoS and times in metadata.yaml exclude no message."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def test_a_topic_that_metadata_does_not_name_is_read(tmp_path: Path, form: tuple
     with BagReader(folder) as found:
         assert list(found.messages()) == ROWS
         assert [(t.name, t.count, t.announced) for t in found.topics] == [("/state", 10, 12), ("/talk", 20, 0)]
-        assert "metadata.yaml announces 12 messages, 10 are in the files" in description(found)
+        assert "metadata.yaml lists 12 messages, the files have 10" in description(found)
 
 
 @forms
@@ -62,7 +62,7 @@ def test_the_hash_of_a_definition_is_known_where_the_bag_has_one(tmp_path: Path,
 
 
 def test_two_channels_of_one_topic_in_a_file_are_one_topic(tmp_path: Path) -> None:
-    """As of two publishers with different QoS."""
+    """Two publishers with different QoS write such a file."""
     from mcap.writer import Writer
 
     file = tmp_path / "two.mcap"

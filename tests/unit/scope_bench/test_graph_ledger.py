@@ -27,7 +27,7 @@ def test_recorder_that_was_started_before_the_graph_counts_with_it(tmp_path: Pat
             assert node.subscriptions("/panel/pose") == 1
 
 
-def test_what_a_killed_graph_has_left_is_forgotten(tmp_path: Path) -> None:
+def test_entries_of_a_killed_graph_are_forgotten(tmp_path: Path) -> None:
     path = tmp_path / "steps"
     subprocess.run([sys.executable, "-c", ENDED, str(path)], check=False)
     with contextlib.closing(StepLedger(path)) as left:
@@ -38,7 +38,7 @@ def test_what_a_killed_graph_has_left_is_forgotten(tmp_path: Path) -> None:
     assert not path.exists()
 
 
-def test_file_of_another_version_is_made_anew(tmp_path: Path) -> None:
+def test_file_of_another_version_is_replaced(tmp_path: Path) -> None:
     path = tmp_path / "steps"
     path.write_text("another version")
     with new_ledger(path, simulated=True), contextlib.closing(StepLedger(path)) as found:

@@ -175,7 +175,7 @@ def test_the_panel_of_the_configuration_is_drawn_from_any_folder(
 @pytest.mark.parametrize(
     ("given", "said"),
     [
-        (["--set", "light.noise"], "'light.noise': KEY=VALUE is needed"),
+        (["--set", "light.noise"], "'light.noise': expected KEY=VALUE"),
         (["--set", "light.noise=2026-13-45"], "'light.noise=2026-13-45': the value cannot be read"),
         (["--set", "light.noise=[1"], "'light.noise=[1': the value cannot be read"),
         (["--turn", "CH1_SCALE"], "--turn CH1_SCALE: NAME=DEGREES is needed"),

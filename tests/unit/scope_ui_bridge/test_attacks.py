@@ -98,7 +98,7 @@ async def path_traversal(rig: Rig, client: Page) -> None:
 
 
 def raw_body(head: str, body: bytes, path: str = "/sign-in", status: int = 400) -> Attack:
-    """Send a body that is not what its head says, as no library would."""
+    """Send a body that does not match its head, which no library would send."""
 
     async def attack(rig: Rig, client: Page) -> None:
         reader, writer = await asyncio.open_connection("127.0.0.1", rig.server.port)
@@ -157,8 +157,8 @@ ATTACKS: dict[str, tuple[Attack, str]] = {
     "chunk that is longer": (raw_body("Transfer-Encoding: chunked\r\n", b"5\r\ntokenXX\r\n"), "400"),
     "length below zero": (raw_body("Content-Length: -4\r\n", b""), "400"),
     "two lengths": (raw_body("Content-Length: 4\r\nTransfer-Encoding: chunked\r\n", b"0\r\n\r\n"), "400"),
-    "many fields": (raw_body("Content-Length: 59\r\n", b"&".join([b"a=1"] * 15)), "no form"),
-    "bytes behind a percent": (raw_body("Content-Length: 12\r\n", b"token=%ff%fe"), "no form"),
+    "many fields": (raw_body("Content-Length: 59\r\n", b"&".join([b"a=1"] * 15)), "not a readable form"),
+    "bytes behind a percent": (raw_body("Content-Length: 12\r\n", b"token=%ff%fe"), "not a readable form"),
     "form without its boundary": (form("multipart/form-data", b"token=a"), "/sign-in"),
     "form that is cut off": (form("multipart/form-data; boundary=x", b"--x\r\nfoo"), "/sign-in"),
     "field without a name": (

@@ -92,7 +92,7 @@ def test_a_result_names_its_control_as_the_page_does_elsewhere() -> None:
         (entry,) = logged(rig.desk.result(done, rig.now))
         return entry["reason"], entry["effect"]
 
-    hidden = "something (a hand?) hides RUN_STOP since 0.4 s"
+    hidden = "something (a hand?) has hidden RUN_STOP for 0.4 s"
     assert told("click:CH1_SCALE:2 id=7", "", "CH1_SCALE at -32.0 degrees") == ("", "Scale at -32.0 degrees")
     assert told("press:RUN_STOP", hidden, "none seen")[0] == hidden.replace("RUN_STOP", "Run / Stop")
     assert told("hold:RUN_STOP:1", "not RUN_STOPPED", "")[0] == "not RUN_STOPPED", "another word"
@@ -679,13 +679,13 @@ def test_a_flood_of_stops_stops_and_is_ended_as_any_other() -> None:
     assert effects[-1] == End(viewer=viewer)
 
 
-def test_only_who_is_in_control_may_send_long_messages() -> None:
+def test_only_the_page_in_control_may_send_long_messages() -> None:
     rig = Rig()
     viewer, _ = rig.desk.join("Eve", Role.ENGINEER)
     long = {"type": "sequence", "steps": ["press:RUN_STOP => effect"] * 99, "camera": "left", "stamp": str(rig.stamp)}
     (answer,) = of_type(rig.ask(viewer, **long), Send)
     assert answer.message["code"] == "oversized" and answer.message["values"]["limit"] == SHORT
-    assert answer.message["seq"] is not None, "its page learns which one was refused"
+    assert answer.message["seq"] is not None, "the answer names the rejected message"
     assert "oversized" not in str(rig.ask(rig.a, **long))
 
 

@@ -1,8 +1,9 @@
-"""Whatever an observer or a stranger floods the server with, the operator's STOP goes out and new connections are made.
+"""No flood by an observer or a stranger delays the operator's STOP or keeps new connections out.
 
-Each flood comes from a process of its own. The times that count are measured by benchmarks/bench_operator_page.py; the
-bound here is one that a busy computer keeps, and that the server missed several times over before it limited what it
-reads.
+Each flood runs in a process of its own. The time of a stop is counted without the time in which the thread of the
+client, or that of the server, waited for a processor: on a busy computer that is most of it, and no work of the server.
+Before the server limited its reading, it needed 81 ms (median) and 1.3 s (longest).
+benchmarks/bench_operator_page.py measures the whole time with the real driver.
 """
 
 from __future__ import annotations
@@ -10,8 +11,9 @@ from __future__ import annotations
 import asyncio
 import json
 import resource
+import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Awaitable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -24,7 +26,7 @@ from scope_ui_bridge.core.audit import verify
 from scope_ui_bridge.core.passwords import new_user
 
 STOPS = 25
-MEDIAN_S, MOST_S = 0.1, 0.4
+MEDIAN_S, LONGEST_S = 0.05, 0.2
 
 
 @pytest.fixture(scope="module")
@@ -44,22 +46,32 @@ async def enter(client: Page, name: str, password: str) -> str:
     return f"{cookie.key}={cookie.value}"
 
 
-async def stop_by_request(client: Page, number: int) -> float:
-    begin_s = time.monotonic()
+async def stop_by_request(client: Page, number: int) -> None:
     async with client.session.post("/stop", params={"press": f"r{number}"}, headers=client.origin) as answer:
         assert answer.status == 200
-    return time.monotonic() - begin_s
 
 
-async def stop_by_message(client: Page, number: int) -> float:
-    begin_s = time.monotonic()
+async def stop_by_message(client: Page, number: int) -> None:
     assert (await client.ask(type="stop", press=f"m{number}"))["ok"]
-    return time.monotonic() - begin_s
+
+
+def waited_s(client: Page) -> np.ndarray:
+    """Return the seconds in which the threads of client and server could run and had no processor, (2,)."""
+    threads = (threading.get_native_id(), client.rig.server._thread.native_id)
+    stats = (Path(f"/proc/self/task/{thread}/schedstat").read_text() for thread in threads)
+    return np.array([int(stat.split()[1]) for stat in stats]) / 1e9
+
+
+async def timed(client: Page, stop: Awaitable[None]) -> float:
+    """Return the seconds from a stop to its answer, without the longer wait for a processor: the two may overlap."""
+    begin_s, before_s = time.monotonic(), waited_s(client)
+    await stop
+    return time.monotonic() - begin_s - float(np.max(waited_s(client) - before_s))
 
 
 @pytest.fixture
 def few_descriptors() -> Iterator[None]:
-    """`ulimit -n 1024`, which is what a login shell has."""
+    """`ulimit -n 1024`, the usual limit of a login shell."""
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     resource.setrlimit(resource.RLIMIT_NOFILE, (1024, hard))
     yield
@@ -72,7 +84,7 @@ def test_a_flood_does_not_delay_the_operators_stop_nor_a_new_page(
     name: str, passwords: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = tmp_path / "audit.jsonl"
-    if name != "stops":  # else each of that flood's would be another one
+    if name != "stops":  # else each stop of that flood would be a new one
         monkeypatch.setattr("scope_ui_bridge.core.desk._SAME_STOP_S", 0.0)
 
     async def scenario(rig: Rig) -> None:
@@ -83,16 +95,15 @@ def test_a_flood_does_not_delay_the_operators_stop_nor_a_new_page(
             assert (await client.ask(type="lease", step="take"))["ok"]
             cookie = await enter(eve, "eve", "battery staple")
             with page_floods.flooded(name, rig.url, cookie) as flood:
-                await asyncio.sleep(0.7)  # until it is at its height
                 took: list[float] = []
                 for number in range(STOPS):
-                    took.append(await stop_by_request(client, number))
-                    took.append(await stop_by_message(client, number))
+                    took.append(await timed(client, stop_by_request(client, number)))
+                    took.append(await timed(client, stop_by_message(client, number)))
                     rig.offer()
-                    await asyncio.sleep(0.02)
+                    await asyncio.sleep(0.02)  # spreads the stops over the flood
                 form = {"secret": "correct horse"}
                 async with client.session.post("/renew", data=form, headers=client.origin) as answer:
-                    assert answer.status == 200, "whoever is signed in waits behind nobody's guesses"
+                    assert answer.status == 200, "guesses do not delay a signed-in user"
                 async with page(rig) as other:  # by a token
                     assert (await other.ask(type="stop"))["ok"]
                     await other.open_video()
@@ -103,9 +114,8 @@ def test_a_flood_does_not_delay_the_operators_stop_nor_a_new_page(
             assert rig.desk.lease.holder == client.hello["you"]["id"], "control is kept"
             assert (await client.ask(type="call", service="enable"))["ok"]
         print(f"{name}: p50 {1e3 * np.median(took):.1f} ms, longest {1e3 * max(took):.1f} ms; {counts}")
-        # A few may be held up by what else the computer does.
-        assert np.median(took) < MEDIAN_S and np.percentile(took, 90) < MOST_S, (name, sorted(took)[-8:])
-        assert sum(counts.values()) > 5, "it was a flood"
+        assert np.median(took) < MEDIAN_S and max(took) < LONGEST_S, (name, sorted(took)[-8:])
+        assert sum(counts.values()) > page_floods.HEIGHT, "it was a flood"
 
     with_rig(scenario, audit=AuditFile(path), passwords_file=str(passwords))
     lines = path.read_text().splitlines()

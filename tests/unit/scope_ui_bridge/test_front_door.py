@@ -157,7 +157,7 @@ def test_a_server_without_descriptors_makes_room_and_goes_on(monkeypatch: pytest
             async with page(rig) as another:
                 assert (await another.ask(type="stop"))["ok"]
             await asyncio.gather(*(ended(reader) for reader, _ in silent[:3]))
-            assert (await client.ask(type="stop"))["ok"], "who has control does not make room"
+            assert (await client.ask(type="stop"))["ok"], "the operator's connection is not closed for a new one"
             for _, writer in silent:
                 writer.close()
 
@@ -166,18 +166,20 @@ def test_a_server_without_descriptors_makes_room_and_goes_on(monkeypatch: pytest
 
 
 @pytest.mark.parametrize("order", ["own last", "own first"])
-def test_the_cookie_of_another_robot_on_the_host_hides_nobodys(order: str) -> None:
+def test_the_cookie_of_another_robot_on_the_host_does_not_hide_this_ones(order: str) -> None:
     async def scenario(rig: Rig) -> None:
         async with page(rig) as client:
             (cookie,) = client.session.cookie_jar
             own, other = f"{cookie.key}={cookie.value}", f"icu_session_{rig.server.port + 1}={'x' * 43}"
             _, writer = await asyncio.open_connection("127.0.0.1", rig.server.port)
             both = f"{other}; {own}" if order == "own last" else f"{own}; {other}"
-            writer.write(f"GET /page/x HTTP/1.1\r\nCookie: {both}\r\n".encode())  # the rest does not come
+            writer.write(
+                f"GET /page/x HTTP/1.1\r\nCookie: {both}\r\n".encode()
+            )  # the rest of the request is never sent
             port = writer.get_extra_info("sockname")[1]
             gates = lambda: rig.server.door._listener._gates  # noqa: E731
             users = lambda: [g.user for g in gates() if g.transport.get_extra_info("peername")[1] == port]  # noqa: E731
-            await until(lambda: users() == ["Operator 1"], "it is known before its request is whole")
+            await until(lambda: users() == ["Operator 1"], "it is known before its request is complete")
             writer.close()
 
     with_rig(scenario)
@@ -202,7 +204,7 @@ def test_a_flood_of_sign_ins_is_refused_recorded_briefly_and_does_not_delay_a_st
                 assert answer.status == 200
             took, waiting = time.monotonic() - begin, sum(not sign_in.done() for sign_in in flood)
             codes = await asyncio.gather(*flood)
-            assert set(codes) == {401}, "a token of 256 bits is compared, and nobody waits for it"
+            assert set(codes) == {401}, "a token is compared at once, without a waiting time"
             await client.enter(rig.sign_in.issue_token())
             assert took < 1.0 or waiting > 100, "on a slow machine the stop still overtakes most of the flood"
 
@@ -456,7 +458,7 @@ def test_wrong_names_and_passwords_look_alike_and_are_slowed_down(
                     assert (answer.status, int(answer.headers["Retry-After"]) >= 1) == (429, True)
             other = {"name": "eve", "password": "battery staple"} if form["name"] == "ada" else good
             async with client.session.post("/sign-in", data=other, headers=client.origin) as answer:
-                assert answer.status == 200, "who guesses at one account keeps nobody else out"
+                assert answer.status == 200, "guesses at one account do not keep other users out"
 
     with_rig(scenario, passwords_file=str(passwords))
 

@@ -7,13 +7,13 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+from deadlines import wait_until
 from unit.scope_ui_bridge.web_rig import WITHIN_S, Rig, page, until, with_rig
 
 from scope_ui_bridge.adapters.jpeg_encoder import JpegEncoder, to_jpeg
@@ -140,10 +140,7 @@ print(encoder.pid, flush=True)
 encoder.close() if {way == "closed"} else os.kill(os.getpid(), 9)"""
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=WITHIN_S, check=False)
     assert (done.stderr, done.returncode) == ("", 0 if way == "closed" else -signal.SIGKILL)
-    deadline = time.monotonic() + WITHIN_S
-    while works(int(done.stdout)):
-        assert time.monotonic() < deadline, "it goes on without the bridge"
-        time.sleep(0.01)
+    wait_until(lambda: not works(int(done.stdout)), "it ends with the bridge", WITHIN_S)
 
 
 def works(pid: int) -> bool:

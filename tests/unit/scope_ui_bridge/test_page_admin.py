@@ -175,7 +175,7 @@ def test_the_check_of_the_audit_file_names_its_gaps(tmp_path: Path, capsys: pyte
     audit.close()
     assert page_admin.main(["audit", str(path)]) == 0
     begin, end = (f"{datetime.fromtimestamp(at).astimezone():%Y-%m-%d %H:%M:%S %z}" for at in (18e8, 18e8 + 60))
-    assert f"\n7 records were lost between {begin} and {end}\n" in capsys.readouterr().out
+    assert f"\nrecords lost between {begin} and {end}: 7\n" in capsys.readouterr().out
 
 
 def test_the_audit_file_is_checked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

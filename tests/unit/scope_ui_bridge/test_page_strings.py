@@ -70,7 +70,7 @@ UNSAID = {
     "status lines and plain pages of the web server; terminals": (
         *("not signed in", "engineers only", "no picture is held", "sign in first"),
         *("too many connections", "more than {} a second", "more than {}: the oldest ends", "more than {} are open"),
-        *("went on after rate_limited: ended", "too many viewers"),
+        *("ended: kept sending after rate_limited", "too many viewers"),
         *("the desk knows which picture is held", "Operator page: {}?token={}"),
         "tls_certificate = {}, tls_key = {}: {}",
         "{}: rms {} px, residuals x{}, red: above three times the rms",

@@ -1,4 +1,4 @@
-"""Places for connections: nobody takes them all, and who had control finds one."""
+"""Slots for connections: no user gets all of them, and a former operator always gets one."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from scope_ui_bridge.core.admission.places import KEPT_PLACES, OWN_PLACES, Place
 from scope_ui_bridge.core.refusal import Refusal
 
 
-def test_one_user_has_so_many_of_a_kind_and_gives_up_the_oldest_for_a_newer_one() -> None:
+def test_a_connection_beyond_the_users_limit_replaces_the_users_oldest() -> None:
     places: Places[str] = Places(48)
     gone = [places.take(f"v{n}", "eve", "/video", kept=False) for n in range(47)]
     assert gone == [None] * OWN_PLACES + [f"v{n}" for n in range(47 - OWN_PLACES)]
@@ -17,7 +17,7 @@ def test_one_user_has_so_many_of_a_kind_and_gives_up_the_oldest_for_a_newer_one(
     assert len(places.owners()) == OWN_PLACES + 2
 
 
-def test_the_connection_in_control_is_not_the_one_that_goes() -> None:
+def test_the_connection_in_control_is_never_replaced() -> None:
     places: Places[str] = Places(48)
     for number in range(OWN_PLACES):
         places.take(f"c{number}", "ada", "/control", kept=True)
@@ -25,7 +25,7 @@ def test_the_connection_in_control_is_not_the_one_that_goes() -> None:
     assert "c0" in places.owners()
 
 
-def test_when_all_are_taken_those_who_had_control_still_find_one() -> None:
+def test_former_operators_get_a_reserved_slot_when_all_others_are_taken() -> None:
     places: Places[str] = Places(4)
     for number in range(4):
         places.take(f"p{number}", f"user {number}", "/control", kept=False)

@@ -13,6 +13,7 @@ import time
 from pathlib import Path
 
 import pytest
+from deadlines import wait_until
 from unit.scope_ui_bridge import web_rig
 
 from scope_ui_bridge.adapters.graph_port import GraphError
@@ -124,12 +125,13 @@ def test_one_that_failed_and_is_noticed_late_hides_no_recording_that_runs(tmp_pa
     answers: queue.Queue[tuple[str, bool]] = queue.Queue()
     recorder = Recorder(str(tmp_path / "sessions"), program)
     recorder.start(lambda ok, text: answers.put(("first", ok)), "Anna")
-    deadline = time.monotonic() + WITHIN_S
-    while answers.empty():
-        assert time.monotonic() < deadline
-        with contextlib.suppress(GraphError):  # while the first one's program is there
+
+    def answered() -> bool:
+        with contextlib.suppress(GraphError):  # while the first one's program runs
             recorder.start(lambda ok, text: answers.put(("second", ok)), "Bert")
-        time.sleep(0.005)
+        return not answers.empty()
+
+    wait_until(answered, "the second recording starts", WITHIN_S)
     assert answers.get() == ("second", True)
     (tmp_path / "gate").write_text("go")
     assert answers.get(timeout=WITHIN_S) == ("first", False)

@@ -1,4 +1,4 @@
-"""Which recordings run: those of this bridge, and those of recorders that are seen in the graph."""
+"""Running recordings: those of this bridge, and those of other recorders in the graph."""
 
 from __future__ import annotations
 

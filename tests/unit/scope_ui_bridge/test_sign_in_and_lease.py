@@ -77,7 +77,7 @@ def test_the_longest_unused_sessions_go_when_there_are_too_many() -> None:
     assert door.session(second, 3.0) is None
 
 
-def test_wrong_tokens_make_nobody_wait() -> None:
+def test_wrong_tokens_cause_no_wait() -> None:
     door = sign_in()
     token = door.issue_token()
     for _ in range(2000):
@@ -137,7 +137,7 @@ def test_an_observer_who_signs_in_again_and_again_ends_only_its_own_sessions() -
     assert {(session.name, why) for session, why in door.take_ended(36.0)} == {("eve", "8 newer ones of the same user")}
 
 
-def test_when_there_are_too_many_sessions_those_who_had_control_go_last() -> None:
+def test_sessions_of_former_operators_end_last() -> None:
     door = sign_in()
     door.spares = lambda name: name == "Operator 1"
     eve = User(name="eve", role=Role.VIEWER, hashed="")

@@ -1,4 +1,4 @@
-"""What one page may send, by the rate, the size, the order and the role."""
+"""Limits of one page's messages: rate, size, order and role."""
 
 from __future__ import annotations
 
@@ -49,17 +49,17 @@ def test_a_burst_is_taken_and_then_only_the_rate() -> None:
     assert [viewer.may_tell_rate(at) for at in (now_s, now_s + 0.9, now_s + 1.0)] == [True, False, True]
 
 
-def test_who_goes_on_after_it_was_told_is_flooding_and_who_slows_down_is_not() -> None:
+def test_a_page_that_ignores_the_warning_is_flooding_and_one_that_slows_down_is_not() -> None:
     viewer, now_s = Viewer("a", Role.OPERATOR), 100.0
     codes = [limited(viewer, now_s) for _ in range(int(BURST + DROPPED_BURST) + 1)]
     assert codes == [""] * int(BURST) + ["rate_limited"] * int(DROPPED_BURST) + ["flooding"]
     quick = Viewer("b", Role.OPERATOR)
-    # Half more than is allowed, for ten minutes: told, dropped, and never ended.
+    # Half more than is allowed, for ten minutes: reported and dropped, and never ended.
     found = {limited(quick, 100.0 + n / (1.2 * MESSAGES_PER_S)) for n in range(28_800)}
     assert found == {"", "rate_limited"}
 
 
-def test_all_pages_of_a_user_share_a_rate_and_nobody_elses() -> None:
+def test_all_pages_of_a_user_share_that_users_rate() -> None:
     user, other = UserBudget(), UserBudget()
     pages = [Viewer("a", Role.VIEWER, user=user) for _ in range(6)]
     taken = [limited(page, 100.0) for page in pages for _ in range(40)]
@@ -75,7 +75,7 @@ def test_bytes_are_limited_as_well_and_what_is_too_long_costs_none() -> None:
     assert BURST_BYTES == 100e3 and limited(viewer, 100.0 + LONG / BYTES_PER_S, LONG - 1000) == ""
 
 
-def test_a_stop_is_looked_for_in_what_is_short_and_not_for_ever() -> None:
+def test_only_short_texts_at_a_limited_rate_are_searched_for_a_stop() -> None:
     viewer = Viewer("a", Role.VIEWER)
     stop = '{"type":"stop","seq":1}'
     assert not viewer.may_stop('{"type":"alive"}', 100.0)
@@ -102,14 +102,14 @@ def test_roles() -> None:
     assert refusal.value.message() == {"code": "role_needed", "values": {"role": "engineer", "found": "operator"}}
 
 
-def test_a_clock_that_is_set_back_fills_nothing_and_blocks_nobody_for_long() -> None:
+def test_a_clock_that_is_set_back_neither_fills_a_bucket_nor_blocks_a_user_for_long() -> None:
     bucket = Bucket(10.0, 1.0)
     assert bucket.take(100.0) and not bucket.take(50.0)
     assert bucket.wait_s() == pytest.approx(0.1)
     assert bucket.take(50.11)
 
 
-def test_the_memory_for_users_is_bounded_and_keeps_those_who_come() -> None:
+def test_the_memory_for_users_is_bounded_and_keeps_active_users() -> None:
     budgets = OfUsers(lambda: Bucket(1.0, 1.0))
     first = budgets["a"]
     for number in range(2 * MAX_USERS):

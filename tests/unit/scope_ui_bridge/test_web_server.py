@@ -372,7 +372,7 @@ def test_a_jog_that_is_let_go_while_its_record_is_written_does_not_begin() -> No
             picture = {name: press[name] for name in ("camera", "stamp")}
             for dx in (1, 0):
                 assert (await client.ask(type="jog", dx=dx, dy=0, step_mm=5, **picture))["ok"]
-            await asyncio.sleep(rig.config.jog_hold_s)
+            await asyncio.sleep(rig.config.jog_hold_s)  # the stimulus: the hold ends while the disk writes
             written.set()
             failed = await client.until(lambda m: m["type"] == "log" and m["entry"]["status"] == "failed")
             assert failed["entry"]["action"] == "jog"

@@ -1,7 +1,6 @@
 """The serial port under a :class:`~gantry_driver.core.machine.Machine`: one thread that polls port and wake pipe.
 
-A stop does not wait for that thread: it writes ``!`` to the port from the calling thread. Signals wake the thread
-through the interpreter's wake-up descriptor, so that a hold does not wait for Python code either.
+A stop does not wait for that thread: it writes ``!`` to the port from the calling thread.
 """
 
 from __future__ import annotations
@@ -10,7 +9,6 @@ import contextlib
 import errno
 import os
 import select
-import signal
 import termios
 import threading
 from collections.abc import Callable
@@ -20,6 +18,7 @@ import serial
 
 from gantry_driver.adapters.serial_port import open_port
 from gantry_driver.adapters.stylus_record import StylusRecord
+from gantry_driver.adapters.wake_pipe import WakePipe
 from gantry_driver.core.machine import Machine
 from gantry_driver.core.machine_states import CloseRequested, Event, Note
 from gantry_driver.core.session import HOLD
@@ -27,7 +26,7 @@ from icu_common.adapters.real_time import steady_s
 
 T = TypeVar("T")
 
-_STOP_SIGNALS = {int(number): number.name for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
+
 FIRST_RETRY_S, LAST_RETRY_S = 0.1, 1.0
 LONGEST_WAIT_S = 0.1
 """Longest sleep of the thread in wall time."""
@@ -81,11 +80,9 @@ class SerialLink:
         self._closing = False
         self._closed = False
         self._retry_s, self._next_try = FIRST_RETRY_S, 0.0
-        self._wake_read, self._wake_write = os.pipe()
-        os.set_blocking(self._wake_read, False)
-        os.set_blocking(self._wake_write, False)
+        self._wake_pipe = WakePipe()
         self._poller = select.poll()
-        self._poller.register(self._wake_read, select.POLLIN)
+        self._poller.register(self._wake_pipe.read_fd, select.POLLIN)
         self._writing = False
         self._thread = threading.Thread(target=self._run, name="serial-link", daemon=True)
         self._stop_asked = ""
@@ -99,11 +96,6 @@ class SerialLink:
         """Whether the thread that reads and writes the port runs; without it nobody stops the board."""
         return self._thread.is_alive()
 
-    @property
-    def wakeup_fd(self) -> int:
-        """For ``signal.set_wakeup_fd``: SIGINT, SIGTERM and SIGHUP then stop the machine at once."""
-        return self._wake_write
-
     def call(self, action: Callable[[Machine, float], T]) -> T:
         """Run ``action(machine, now)`` under the lock and let the thread send what follows from it.
 
@@ -113,7 +105,7 @@ class SerialLink:
             result = action(self._machine, self._now())
         if self._thread.ident is None:
             self._publish()
-        self._wake()
+        self._wake_pipe.wake()
         return result
 
     def stop(self, reason: str) -> None:
@@ -146,20 +138,18 @@ class SerialLink:
                 late.append(
                     Note(
                         level="error",
-                        text=f"closed {within_s:g} s after the stop, while {self._machine.phase.name.lower()}: what "
-                        "the machine does is not known, the stylus may be down",
+                        text=f"closed {within_s:g} s after the stop, while {self._machine.phase.name.lower()}: the "
+                        "machine's state is unknown, the stylus may be down",
                     )
                 )
         self._closing = True
-        self._wake()
+        self._wake_pipe.wake()
         if self._thread.ident is not None:
             self._thread.join(2.0)
         self._close_port()
         if late:
             self._on_events(late)
-        wake_write, self._wake_write = self._wake_write, -1
-        os.close(wake_write)
-        os.close(self._wake_read)
+        self._wake_pipe.close()
 
     @property
     def wakes(self) -> int:
@@ -169,17 +159,12 @@ class SerialLink:
     def wake(self) -> None:
         """Let the thread look at the clock and at what is due."""
         self._wakes += 1
-        self._wake()
+        self._wake_pipe.wake()
 
     def _now(self) -> float:
         """Return the machine's time, and let the machine know the wall's."""
         self._machine.wall_s = steady_s()
         return self._clock()
-
-    def _wake(self, code: bytes = b"\0") -> None:
-        # A full pipe has a wake-up in it already.
-        with contextlib.suppress(BlockingIOError, OSError):
-            os.write(self._wake_write, code)
 
     def _take_stop(self, machine: Machine, now: float, *, hold_written: bool) -> None:
         reason, self._stop_asked = self._stop_asked, ""
@@ -285,10 +270,8 @@ class SerialLink:
             self._writing = bool(self._pending)
             self._poller.modify(self._fd, select.POLLIN | (select.POLLOUT if self._writing else 0))
         ready = dict(self._poller.poll(1000.0 * seconds))
-        if self._wake_read in ready:
-            woken = os.read(self._wake_read, 4096)
-            for number in _STOP_SIGNALS.keys() & set(woken):
-                self.stop(_STOP_SIGNALS[number])
+        if self._wake_pipe.read_fd in ready:
+            self._wake_pipe.drain()
         self._wakes_seen = self._wakes
         return bool(ready.get(self._fd, 0) & ~select.POLLOUT)
 

@@ -1,14 +1,14 @@
-"""Run a G-code program directly on the board's port, without ROS: checked first, paused and resumed by keys.
+"""Run a G-code program directly on the board's port, without ROS.
 
 ``gantry_gcode settings --params serial_driver.yaml --params hardware.yaml`` compares the board's settings with the
-machine that these files configure (without any: that of the driver's defaults), keeps them in a file, or writes those
-of the configuration or of a file to the board and reads them back; nothing moves.
+machine that these files configure (without files: the driver's defaults). It can save them in a file, or write those
+of the configuration or of a file to the board and read them back. Nothing moves.
 
-``gantry_gcode run FILE`` with the same files checks all of FILE against the machine, says how long it takes, opens the
-port for itself alone (a driver that has it makes that fail), homes, and streams. Space pauses (the stylus stays where
-it is) and resumes; Ctrl-C holds, lifts the stylus, keeps the position, and ends, and so do Ctrl-Z and a terminal that
-is closed. ``--dry-run`` lets the board's own parser check the lines in ``$C`` mode; nothing moves, and a board that was
-locked is locked again at the end. ``--check`` does not open the port at all.
+``gantry_gcode run FILE`` with the same files checks all of FILE against the machine, prints its duration, opens the
+port exclusively (this fails while a driver uses it), homes, and streams. Space pauses (the stylus stays at its
+position) and resumes. Ctrl-C, Ctrl-Z or closing the terminal holds, lifts the stylus, keeps the position, and ends.
+``--dry-run`` makes the board's own parser check the lines in ``$C`` mode; nothing moves, and a board that was locked is
+locked again at the end. ``--check`` does not open the port.
 """
 
 from __future__ import annotations

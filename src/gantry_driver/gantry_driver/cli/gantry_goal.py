@@ -1,4 +1,4 @@
-"""Send one goal from the command line, be its operator, and wait for its answer.
+"""Send one goal from the command line, send the operator's heartbeat, and wait for the answer.
 
 Exit codes: 0 reached, 1 rejected or aborted, 2 wrong usage, 3 no answer in time.
 """

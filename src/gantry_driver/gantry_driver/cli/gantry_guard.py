@@ -1,6 +1,6 @@
-"""Owns a gantry's serial port for the driver's node, and stops and lifts when that node ends or hangs.
+"""Own a gantry's serial port for the driver's node; hold the machine and lift the stylus when the node ends or hangs.
 
-The node starts it, so nobody has to. It uses neither ROS nor numpy: nothing that holds the node up holds this up.
+The node starts this program. It uses neither ROS nor numpy, so nothing that delays the node delays it.
 See docs/explanation/guard.md.
 """
 
@@ -18,21 +18,22 @@ from pathlib import Path
 
 from gantry_driver.adapters.guard.places import guard_path
 from gantry_driver.adapters.guard.server import Guard
+from gantry_driver.adapters.wake_pipe import STOP_SIGNALS, WakePipe
 from icu_common.adapters.program_end import ends_quietly
 from icu_common.adapters.real_time import DRIVER, ask_for_real_time
 from icu_common.adapters.unix_listener import listen_at
 
 SWITCH_S = 0.001
-"""Seconds after which a thread gives the interpreter up to another one: the thread of the port waits no longer."""
+"""Seconds after which a running thread must release the interpreter: the longest wait of the port's thread."""
 
 
 def parser() -> argparse.ArgumentParser:
     """Return the command line's description."""
     result = argparse.ArgumentParser(prog="gantry_guard", description=__doc__)
     where = result.add_mutually_exclusive_group(required=True)
-    where.add_argument("--socket", type=Path, metavar="PATH", help="socket on which the node finds it")
-    where.add_argument("--port", metavar="DEVICE", help="serial port; the socket is the one where a node looks for it")
-    result.add_argument("--stay", action="store_true", help="go on without a node, for a service manager")
+    where.add_argument("--socket", type=Path, metavar="PATH", help="path of the socket for the node")
+    where.add_argument("--port", metavar="DEVICE", help="serial port; the socket's path follows from it")
+    result.add_argument("--stay", action="store_true", help="keep running without a node, for a service manager")
     return result
 
 
@@ -43,13 +44,11 @@ def main() -> int:
     path = options.socket or guard_path(options.port)
     ask_for_real_time(DRIVER)
     sys.setswitchinterval(SWITCH_S)
-    read, write = os.pipe()
-    for end in (read, write):
-        os.set_blocking(end, False)
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+    signals = WakePipe()
+    for number in STOP_SIGNALS:
         signal.signal(number, lambda *_: None)
-    signal.signal(signal.SIGTSTP, signal.SIG_IGN)  # Put aside by Ctrl-Z, it could not hold.
-    signal.set_wakeup_fd(write, warn_on_full_buffer=False)
+    signal.signal(signal.SIGTSTP, signal.SIG_IGN)  # A suspended guard (Ctrl-Z) could not hold.
+    signal.set_wakeup_fd(signals.write_fd, warn_on_full_buffer=False)
     with _locked(path.with_name(f"{path.name}.lock")) as alone:
         if not alone:
             print(f"error: another guard listens at {path}", file=sys.stderr)
@@ -58,7 +57,7 @@ def main() -> int:
             gc.collect()
             gc.freeze()
             try:
-                Guard(listener, read, stays=options.stay).run()
+                Guard(listener, signals.read_fd, stays=options.stay).run()
             finally:
                 path.unlink(missing_ok=True)
     path.with_name(f"{path.name}.log").unlink(missing_ok=True)
@@ -67,11 +66,11 @@ def main() -> int:
 
 @contextlib.contextmanager
 def _locked(path: Path) -> Iterator[bool]:
-    """Hold a file locked, and delete it at the end; False where another process holds it."""
+    """Lock a file, and delete it at the end; yield False if another process has locked it."""
     with path.open("wb") as lock:
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            held = path.stat().st_ino == os.fstat(lock.fileno()).st_ino  # its last holder may just have deleted it
+            held = path.stat().st_ino == os.fstat(lock.fileno()).st_ino  # the last owner may just have deleted it
         except OSError:
             held = False
         try:

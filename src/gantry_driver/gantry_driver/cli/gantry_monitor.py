@@ -1,7 +1,7 @@
-"""Show the gantry in the terminal: state, position, counts of lines and throughput. It asks for nothing to move.
+"""Show the gantry in the terminal: state, position, counts of lines and throughput. It moves nothing.
 
 Names are relative, so ``--ros-args -r __ns:=/bed_1`` shows another robot, and ``-r gantry/driver_state:=driver_state``
-a driver that was started alone. Without a terminal it prints a line a second.
+a driver without the rest of the graph. Without a terminal it prints a line a second.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""Bring the machine to the state in which it takes goals: enable, home, calibrate where needed, wait for "ready".
+"""Prepare the machine for goals: enable, home, calibrate if necessary, and wait for "ready".
 
-Exit codes: 0 ready, 1 refused or failed (with the reason), 2 wrong usage, 3 not ready in time.
+Exit codes: 0 ready, 1 rejected or failed (with the reason), 2 wrong usage, 3 not ready in time.
 """
 
 from __future__ import annotations

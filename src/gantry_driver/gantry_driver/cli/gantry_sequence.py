@@ -1,9 +1,9 @@
-"""Carry out gestures one after the other, each checked before the next; be their operator, and say how it went.
+"""Run gestures one after the other, check each before the next, and send the operator's heartbeat meanwhile.
 
     gantry_sequence press:AUTO_SET "click:CH1_SCALE:2 => screen" "press:RUN_STOP => lamp:RUN_STOP=red"
     gantry_sequence --file capture.yaml
 
-Exit codes: 0 all done, 1 rejected or stopped at a step that failed, 2 wrong usage, 3 no answer in time.
+Exit codes: 0 all done, 1 rejected or a step failed, 2 wrong usage, 3 no answer in time.
 """
 
 from __future__ import annotations

@@ -29,7 +29,7 @@ HOLD_REPEAT_S = 0.2
 ASK_ALONE_S = 0.2
 """No `?` gets into the line of a question to a firmware that knows no real-time bytes."""
 LEFT_DOWN_WAIT_S = 0.05
-"""Seconds for a banner before a board is asked for its state whose stylus was left down."""
+"""Seconds to wait for a banner if the stylus was left down; then the driver requests the board's state."""
 TICK_S = 0.05
 REFUSED = {
     Dialect.MARLIN: "the firmware is Marlin, which has no feed hold; GRBL is needed",
@@ -183,7 +183,7 @@ class Connection:
         self._synchronise(now, self._unanswered)
         self._heard_bytes = 0
         self._kept_place = KeptPlace()
-        # A stylus that may press does not wait for a banner that does not come.
+        # A stylus that may press must not wait for a banner that may never arrive.
         wait_s = min(self.config.banner_wait_s, LEFT_DOWN_WAIT_S if self._left_down else math.inf)
         self._probe_from = now + wait_s
         if self._latched:
@@ -366,7 +366,7 @@ class Connection:
 
     @property
     def _left_down(self) -> bool:
-        """Whether the position was lost with a stylus that may be down."""
+        """Return whether the position was lost while the stylus may be down."""
         return self._stylus in (Stylus.LEFT_SEEN, Stylus.LEFT_UNSEEN)
 
     def _stylus_is_down(self) -> bool:

@@ -53,7 +53,7 @@ class Controller(GoalPhases):
         return self._job.text if self._job is not None else ""
 
     def unrest(self) -> str:
-        """Return why settings that guard people must stay as they are, empty at rest with the stylus up."""
+        """Return why safety settings must not change now, empty at rest with the stylus up."""
         if self._job is not None:
             return f"busy with {self._job.text!r}"
         return self._world.unrest()
@@ -168,17 +168,19 @@ class Controller(GoalPhases):
                 world.camera, world.camera_stamp_ns = event.camera, event.stamp_ns
             case msg.Heartbeat():
                 seen_ns, last_ns = world.wall_ns - event.age_ns, world.heartbeat_ns
-                if last_ns is None or not seen_ns < last_ns <= world.wall_ns:  # an old one does not replace it
+                if (
+                    last_ns is None or not seen_ns < last_ns <= world.wall_ns
+                ):  # an older stamp does not replace a newer one
                     world.heartbeat_ns = seen_ns
             case msg.Rivals():
                 begins = world.rivals.take(event.topic, event.text)
-                if begins and self._job is None:  # at rest, too; a job ends by its fault
+                if begins and self._job is None:  # also at rest; a running job ends by its fault
                     self._actions.append(msg.CallStop(reason=event.text))
             case msg.Tick():
                 pass
 
     def _report_clear(self) -> None:
-        """Tell the driver, at most once in a second, that a stylus whose position was lost is seen off the panel."""
+        """Report to the driver, at most once a second, that a stylus of unknown position is seen off the panel."""
         height_m = self._world.seen_clear_m(self.config)
         if height_m is not None and self._world.age_s(self._world.clear_ns) > CLEAR_AGAIN_S:
             self._world.clear_ns = self._now_ns

@@ -20,11 +20,11 @@ class ControllerConfig(Config):
     )
     max_error_m: float = setting(
         0.0005,
-        "Seen error above which nothing is touched",
+        "Maximum seen error for a touch",
         minimum=1e-5,
         maximum=0.01,
         unit="m",
-        guards="what is beside the target is touched",
+        guards="the stylus touches next to the target",
     )
     max_corrections: int = setting(3, "Corrections before the error is judged by max_error_m", minimum=0, maximum=20)
     max_correction_m: float = setting(
@@ -37,14 +37,14 @@ class ControllerConfig(Config):
     )
     max_depth_error_m: float = setting(
         0.003,
-        "Seen error along base z that means the same",
+        "Seen error along base z that means a wrong calibration or a wrong tip",
         minimum=1e-4,
         maximum=0.05,
         unit="m",
-        guards="a wrong depth is touched",
+        guards="the stylus touches at a wrong depth",
     )
     require_servo: bool = setting(
-        True, "Touch only what the cameras see the tip above", guards="what the cameras do not see is touched"
+        True, "Touch only where the cameras see the tip above", guards="the stylus touches unseen"
     )
     tip_count: int = setting(4, "Tip observations averaged in one look", minimum=1, maximum=50)
     tip_spread_m: float = setting(
@@ -98,11 +98,11 @@ class ControllerConfig(Config):
     )
     state_max_age_s: float = setting(
         1.5,
-        "Age of what is seen of the controls before a gesture",
+        "Maximum age of the controls' seen states before a gesture",
         minimum=0.1,
         maximum=10.0,
         unit="s",
-        guards="a hand may be over the control since",
+        guards="a hand may cover the control meanwhile",
     )
     aside_m: float = setting(
         0.025,
@@ -118,11 +118,11 @@ class ControllerConfig(Config):
     )
     hidden_after_s: float = setting(
         0.3,
-        "Hidden for so long ends a gesture before the touch",
+        "Time a control may be hidden before the gesture ends without a touch",
         minimum=0.0,
         maximum=2.0,
         unit="s",
-        guards="the stylus goes on towards a hand",
+        guards="the stylus moves on towards a hand",
     )
     motion_timeout_s: float = setting(
         6.0,
@@ -130,18 +130,18 @@ class ControllerConfig(Config):
         minimum=0.5,
         maximum=30.0,
         unit="s",
-        guards="a motion without an end is not stopped",
+        guards="an endless motion is stopped late",
     )
     arrival_tolerance_m: float = setting(
         0.0002, "Reading against commanded point at the end of a motion", minimum=1e-5, maximum=0.01, unit="m"
     )
     goal_max_age_s: float = setting(
         0.5,
-        "Older goals are refused as stale",
+        "Maximum age of a goal; older ones are rejected as stale",
         minimum=0.05,
         maximum=5.0,
         unit="s",
-        guards="a goal of long ago may be for another place",
+        guards="an old goal may no longer be meant",
     )
     heartbeat_timeout_s: float = setting(
         0.6,
@@ -150,7 +150,7 @@ class ControllerConfig(Config):
         maximum=2.0,
         unit="s",
         clock=WALL_TIME,
-        guards="the machine moves on after the operator has gone",
+        guards="the machine moves on after the operator has left",
     )
     heartbeat_programs: str = setting(
         HEARTBEAT_PROGRAMS, "Nodes that may send heartbeats side by side, separated by spaces", read_only=True
@@ -161,15 +161,15 @@ class ControllerConfig(Config):
         minimum=0.1,
         maximum=5.0,
         unit="s",
-        guards="nobody knows where the machine is meanwhile",
+        guards="the machine's position is unknown meanwhile",
     )
     camera_timeout_s: float = setting(
         1.0,
-        "Age of the newest picture at which the camera counts as stalled",
+        "Age of the newest image at which the camera counts as stalled",
         minimum=0.1,
         maximum=5.0,
         unit="s",
-        guards="what is not seen is touched",
+        guards="the stylus touches unseen",
     )
     slow_tries: int = setting(
         3,
@@ -179,11 +179,11 @@ class ControllerConfig(Config):
     )
     slow_limit_max_s: float = setting(
         10.0,
-        "Largest limit that such tries grow to",
+        "Maximum of the lateness limit over all such tries",
         minimum=0.1,
         maximum=30.0,
         unit="s",
-        guards="limits of lateness grow to it",
+        guards="the controller accepts later inputs",
     )
     min_confidence: float = setting(
         0.3,
@@ -202,8 +202,8 @@ class ControllerConfig(Config):
     )
     seen_clear_m: float = setting(
         0.025,
-        "Seen height of the tip above the panel that proves, without a position, that it presses nothing; "
-        "more than the highest control",
+        "Seen height of the tip above the panel that proves that it presses nothing, also without a position; "
+        "above the highest control",
         minimum=0.005,
         maximum=0.2,
         unit="m",
@@ -218,7 +218,7 @@ class ControllerConfig(Config):
         minimum=1e-4,
         maximum=0.01,
         unit="m",
-        guards="a panel that has moved is touched beside the target",
+        guards="the stylus touches next to the target on a moved panel",
     )
     motion: MotionConfig = nested(MotionConfig)
     touch: TouchConfig = nested(TouchConfig)

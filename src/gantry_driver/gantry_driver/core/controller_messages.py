@@ -141,14 +141,14 @@ class CameraSeen:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Heartbeat:
-    """The operator was there ``age_ns`` ago, by the heartbeat's stamp."""
+    """The operator was present ``age_ns`` ago, by the heartbeat's stamp."""
 
     age_ns: int = 0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Rivals:
-    """Which programs publish ``topic`` though only one may; an empty ``text`` when they do no more."""
+    """Programs that publish ``topic``, which only one may; ``text`` is empty when one is left."""
 
     topic: str
     text: str
@@ -223,7 +223,7 @@ class ReportDelay:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReportClear:
-    """Tell the driver, which has no position, that images show the tip at least ``height_m`` above the panel."""
+    """Images show the tip at least ``height_m`` above the panel; sent to a driver without a position."""
 
     height_m: float
 

@@ -103,10 +103,10 @@ class Fault:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Obstacle:
-    """What keeps goals from starting: ``state`` for /gantry/state, ``reason`` with value and bound for a rejection.
+    """A reason to start no goal: ``state`` for /gantry/state, ``reason`` with value and limit for a rejection.
 
-    One that is ``passing`` may go away by itself: cameras on the carriage have not seen the panel from where they are,
-    or something is late. ``delay`` names what is late, if nothing else is wrong.
+    A ``passing`` obstacle may end by itself: cameras on the carriage have not seen the panel from their position, or
+    an input is late. ``delay`` names the late input, if nothing else is wrong.
     """
 
     state: str

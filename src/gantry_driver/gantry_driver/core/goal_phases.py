@@ -205,7 +205,7 @@ class GoalPhases(GoalRun):
 
     def _finish_hidden(self, job: Job) -> None:
         assert job.touch is not None
-        cause = f"something (a hand?) hides {job.touch.control}, and did so for {self.config.hidden_wait_s:g} s"
+        cause = f"something (a hand?) still hides {job.touch.control} after {self.config.hidden_wait_s:g} s"
         self._finish(job, Outcome.ABORTED, f"{cause}; nothing was moved")
 
     # Look, judge, correct, touch

@@ -104,7 +104,7 @@ class StylusConfig(Config):
     )
     servo_range: tuple[float, ...] = setting(
         (0.0, 1000.0),
-        "$31 and $30: the range of which S values are a share",
+        "$31 and $30: the range that S values are a share of",
         minimum=0.0,
         maximum=30000.0,
         read_only=True,
@@ -144,7 +144,7 @@ class DriverConfig(Config):
     enabled_at_start: bool = setting(False, "Motion is allowed without a call of enable", read_only=True)
     trajectory_programs: str = setting(
         "gantry_controller",
-        "Nodes whose trajectories are followed, separated by spaces, one at a time; * for any node",
+        "Nodes whose trajectories the driver follows, separated by spaces, one at a time; * for any node",
         read_only=True,
     )
     heartbeat_programs: str = setting(
@@ -157,11 +157,11 @@ class DriverConfig(Config):
         maximum=2.0,
         unit="s",
         clock=WALL_TIME,
-        guards="the machine moves on after the operator has gone",
+        guards="the machine moves on after the operator has left",
     )
     node_silence_s: float = setting(
         0.1,
-        "Motion stops when this node, or its thread, has been silent towards the guard for longer and could have run",
+        "Motion stops when this node sends the guard no sign of life for longer although it could run",
         minimum=0.05,
         maximum=0.5,
         unit="s",
@@ -178,7 +178,7 @@ class DriverConfig(Config):
     )
     touch_status_rate_hz: float = setting(
         50.0,
-        "Status reports while a path with the stylus extended is followed",
+        "Status reports while following a path with the stylus extended",
         minimum=10.0,
         maximum=100.0,
         unit="Hz",
@@ -207,7 +207,7 @@ class DriverConfig(Config):
         minimum=0.2,
         maximum=10.0,
         unit="s",
-        guards="nobody knows where the stylus is meanwhile",
+        guards="the stylus's position is unknown meanwhile",
     )
     connect_timeout_s: float = setting(
         6.0, "Time for banner, build information and settings", minimum=1.0, maximum=60.0, unit="s"
@@ -236,11 +236,11 @@ class DriverConfig(Config):
     )
     goal_max_age_s: float = setting(
         1.0,
-        "Older trajectories are refused",
+        "Maximum age of a trajectory; older ones are rejected",
         minimum=0.05,
         maximum=5.0,
         unit="s",
-        guards="a path of long ago may be for another place",
+        guards="an old path may no longer be meant",
     )
     max_points: int = setting(2000, "Points of one trajectory", minimum=1, maximum=10_000)
     feed_m_s: float = setting(0.15, "Speed in x and y where a point names none", minimum=1e-4, maximum=1.0, unit="m/s")
@@ -260,7 +260,7 @@ class DriverConfig(Config):
         minimum=1.0,
         maximum=60.0,
         unit="s",
-        guards="a stylus that was left behind presses on",
+        guards="a forgotten stylus presses on",
     )
     lift_on_stop: bool = setting(
         True,

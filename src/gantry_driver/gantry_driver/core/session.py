@@ -63,8 +63,8 @@ EEPROM_PAUSE_S = 0.05
 WIRE_BOUND_REPORTS = 3
 """Reports in a row with room in the planner, after which the wire counts as the limit and not the motion."""
 WIRE_BOUND_POLL_S = 0.05
-"""Between status reports then: each takes as much of the line back as fifteen answers. A feed override that nobody
-ordered shows in the next report, and must end within 0.1 s."""
+"""Interval of status reports then: a report occupies the wire as long as fifteen answers. The next report shows an
+unordered feed override, which must end within 0.1 s."""
 SPARE_LINES = 2
 """Room left in the board's buffer while motion is the limit: there it fills up, and an answer too many would make a
 line overflow it. Streaming is not slower for it."""
@@ -76,7 +76,7 @@ REPORTS_APART_S = 1.0
 """A pause between two reports that is longer by so much is no time in which the board was idle: it may be homing."""
 
 QUESTIONS = 6
-"""Questions for a report that may be on their way, of three polls of two each; an older one was lost, or its report."""
+"""Maximum number of open report requests (three polls of two); beyond it the oldest one, or its report, was lost."""
 MISSING_REPORTS = SURPLUS_REPORTS = 2
 """Reports in a row that must show an answer too few, or too many: one report may be damaged."""
 LOST_LINE = "the board has taken lines that it has not answered: a line or its answer was lost on the wire"
@@ -95,7 +95,7 @@ class GrblSession:
         self._planner_blocks = 0
         self.poll_interval_s = 0.1
         self.sets_feed_back = False
-        """Whether an unanswered ``?`` is repeated, with the feed override set back: it may have become an override."""
+        """Whether to repeat an unanswered ``?`` together with a feed reset: damage may have made it an override."""
         self.awaiting_banner = False
         self.latency_s = 0.0
         self._reader = LineReader()

@@ -95,7 +95,7 @@ class Stopping(BoardSettings):
 
     @property
     def moves_or_presses(self) -> bool:
-        """Whether something goes on that only a stop ends."""
+        """Whether the machine moves or presses, so that only a stop ends it."""
         return self.phase in (Phase.MOVING, Phase.HOMING) or self._rests_extended()
 
     # --- the way down ------------------------------------------------------------------------------------------------
@@ -174,7 +174,7 @@ class Stopping(BoardSettings):
             if not self._stylus_is_down():
                 self._forget_position()
                 return False
-        # Only for the way up: what a board has done without a driver is not known.
+        # Only for the lift: what the board did without a driver is unknown.
         self.homed = self._distrusted = True
         self._lift, self._lift_barred, self._lifts_left = True, False, LIFTS
         self._latched = self._latched or LEFT_DOWN

@@ -48,12 +48,12 @@ class Streaming(Proving):
         self._rivals = RivalTopics()
 
     def rivals(self, topic: str, text: str, now: float) -> None:
-        """Take which programs publish a topic that only one may, empty for one alone; more than one is a stop."""
+        """Note the programs that publish a topic for one source (empty: only one does); more than one is a stop."""
         if self._rivals.take(topic, text):
             self.stop(text, now)
 
     def unrest(self) -> str:
-        """Return why settings that guard people must stay as they are, empty at rest with the stylus up."""
+        """Return why safety settings must not change now, empty at rest with the stylus up."""
         if self.phase in _RESTS and not self._stylus_is_down():
             return ""
         return f"the driver is {self.state_text}" + ("; the stylus is down" if self._stylus_is_down() else "")
@@ -107,7 +107,7 @@ class Streaming(Proving):
         age_s
             Age of the trajectory's stamp; 0 for "now".
         distrust
-            Why this trajectory may not be from a program that may move the machine.
+            Reason to doubt that the sender may move the machine, empty for none.
         """
         text = f"{len(points)} points" + (f" to {tuple(points[-1].positions_m)}" if points else "")
         if not abs(age_s) <= (limit_s := self.config.goal_max_age_s):

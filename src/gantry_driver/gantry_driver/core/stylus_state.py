@@ -69,7 +69,7 @@ class Stylus(Enum):
         return Stylus.AS_READ if kind == "z_axis" else Stylus.UP
 
     def seen_clear(self, kind: str) -> Stylus:
-        """Images show a stylus, whose position is not known, off the panel; only a Z axis stays where it is."""
+        """Note that images show a stylus of unknown position off the panel; only a Z axis holds its position."""
         return Stylus.AS_READ if kind == "z_axis" and self in (Stylus.LEFT_SEEN, Stylus.LEFT_UNSEEN) else self
 
     def lost(self, extension_m: float | None) -> Stylus:

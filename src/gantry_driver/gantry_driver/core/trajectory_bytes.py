@@ -1,7 +1,7 @@
-"""The head of a serialised ``trajectory_msgs/JointTrajectory``: read before anything is unpacked.
+"""The head of a serialised ``trajectory_msgs/JointTrajectory``, read before the message is unpacked.
 
-Unpacking 200,000 points holds the interpreter's lock for more than a second, in which no other thread of the process
-runs. So the bytes and the number of points are compared with their limits first.
+Unpacking 200,000 points holds the interpreter's lock for more than a second, so no other thread of the process runs.
+The driver therefore compares the size and the number of points with their limits first.
 """
 
 from __future__ import annotations
@@ -12,19 +12,19 @@ from dataclasses import dataclass
 from icu_common.core.results import GoalResult, Outcome
 
 HEAD_BYTES = 4096
-"""Bytes for everything but the points: the stamp, the name of the goal, and the joints' names."""
+"""Maximum size in bytes of everything before the points: stamp, goal name and joint names."""
 POINT_BYTES = 192
-"""Largest serialised point of three joints: positions, velocities, accelerations, effort, and a time."""
+"""Maximum size of a serialised point of three joints: positions, velocities, accelerations, effort, and a time."""
 MAX_NAMES = 16
-"""Joint names that are counted over; more belong to no trajectory of this machine."""
+"""Maximum number of joint names."""
 _LITTLE, _BIG = b"\x00\x01", b"\x00\x00"
 _START = 4
-"""Bytes of the encapsulation, from whose end the alignment counts."""
+"""Size of the encapsulation in bytes; alignment counts from its end."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrajectoryHead:
-    """What is known of a trajectory that is not unpacked."""
+    """Data of a trajectory that was not unpacked."""
 
     stamp_ns: int
     frame_id: str
@@ -32,12 +32,12 @@ class TrajectoryHead:
 
     @property
     def goal_id(self) -> str:
-        """The name of the goal in its answers."""
+        """Name of the goal in its answers."""
         return self.frame_id or str(self.stamp_ns)
 
 
 def max_bytes(max_points: int) -> int:
-    """Return the size of the largest trajectory that is unpacked, in bytes."""
+    """Return the maximum size in bytes of a trajectory with ``max_points`` points."""
     return HEAD_BYTES + POINT_BYTES * max_points
 
 
@@ -47,7 +47,7 @@ def read_head(data: bytes) -> TrajectoryHead:
     Raises
     ------
     ValueError
-        If the bytes are no serialised trajectory, or its names are too many or too long.
+        If the bytes are not a serialised trajectory, or it has too many or too long names.
     """
     if data[:2] not in (_LITTLE, _BIG):
         raise ValueError(f"encapsulation {data[:_START].hex()}: expected plain CDR")
@@ -68,7 +68,7 @@ def read_head(data: bytes) -> TrajectoryHead:
 
 
 def refusal(head: TrajectoryHead, reason: str) -> GoalResult:
-    """Return the answer to a trajectory that is not unpacked."""
+    """Return the answer that rejects a trajectory without unpacking it."""
     text = f"{head.points} points"
     return GoalResult(goal_id=head.goal_id, goal=text, outcome=Outcome.REJECTED, reason=reason)
 

@@ -84,7 +84,7 @@ class World:
     left_behind: str = ""
     height: StylusHeight = field(default_factory=StylusHeight)
     clear_ns: int = 0
-    """When images proved last that the stylus presses nothing."""
+    """Stamp of the last image that proved that the stylus presses nothing."""
     rivals: RivalTopics = field(default_factory=RivalTopics)
 
     @property
@@ -165,14 +165,14 @@ class World:
         self.readings, self.readings_ns = readings, self.now_ns
 
     def take_tip(self, in_camera: Array, stamp_ns: int, config: ControllerConfig) -> None:
-        """Take where an image shows the tip (3,), in metres of the left camera."""
+        """Note the tip's position (3,) in an image, in metres of the left camera."""
         self.tracked_ns = max(self.tracked_ns, stamp_ns)
         young = self.age_s(self.panel_stamp_ns) <= config.panel_max_age_s
         if young and self.camera_from_panel is not None and self.confidence >= config.min_confidence:
             self.height.take(stamp_ns, float(self.camera_from_panel.inverse().apply(in_camera)[2]))
 
     def seen_clear_m(self, config: ControllerConfig) -> float | None:
-        """Return the tip's height where images must tell whether it presses, and prove that it does not."""
+        """Return the tip's height if the position is unknown and images prove that the tip presses nothing."""
         if self.driver.partition(":")[0] not in _LIFTS_NOTHING:
             return None
         height_m = self.height.at_least_m(self.now_ns)
@@ -215,7 +215,7 @@ class World:
             assert self.seen is not None
             hidden_s = (self.seen.stamp_ns - since_ns) / NANO
             if hidden_s >= config.hidden_after_s:
-                return Fault(cause=f"something (a hand?) hides {control} since {hidden_s:.1f} s")
+                return Fault(cause=f"something (a hand?) has hidden {control} for {hidden_s:.1f} s")
         panel_s, delay = self.age_s(self.panel_stamp_ns), self.panel_delay(config)
         if delay is not None and panel_s > patient_limit_s(config.panel_max_age_s, config):
             return Fault(cause=f"no pose of the panel {since(panel_s)}: the recognition is late", delay=delay)
@@ -284,7 +284,7 @@ class World:
         return age_s - min(self.wall_held_up_s, max(age_s, 0.0))
 
     def unrest(self) -> str:
-        """Return that the machine moves, or that its stylus is extended; empty at rest."""
+        """Return the text that the machine moves or its stylus is extended, empty at rest."""
         if self.driver.partition(":")[0] in ("moving", "homing"):
             return f"the driver is {self.driver!r}"
         extended = self.readings is not None and self.readings[2] > EXTENDED_M

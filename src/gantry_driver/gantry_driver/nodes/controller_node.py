@@ -131,11 +131,11 @@ class ControllerNode(GraphNode):
         convert: Callable[[Any], msg.Event],
         judge: Judge = rivals_text,
     ) -> None:
-        """Hear what one program tells; a second one on its topic stops the machine."""
+        """Subscribe to a topic for one source; a second source stops the machine."""
         self._sources.subscribe(message_type, topic, self._callback(topic, convert), profile, judge)
 
     def _take(self, message_type: Any, topic: str, profile: Any, convert: Callable[[Any], msg.Event]) -> None:
-        """Hear what any program may ask for."""
+        """Subscribe to a topic that any program may publish."""
         self.create_subscription(message_type, topic, self._callback(topic, convert), profile)
 
     def _callback(self, topic: str, convert: Callable[[Any], msg.Event]) -> Callable[[Any], None]:
@@ -160,7 +160,7 @@ class ControllerNode(GraphNode):
         if self._heartbeats.heard(message.frame_id, time.monotonic()):
             self._sources.look("heartbeat")
         stamp = stamp_ns(message.stamp)
-        # As in the driver: without a stamp it is of now, and so is one from the future.
+        # As in the driver, a heartbeat without a stamp, or with one from the future, counts as new.
         return msg.Heartbeat(age_ns=max(0, self._now_ns() - stamp) if stamp else 0)
 
     def _see(self, message_type: Any, topic: str, profile: Any, convert: Callable[[Any], msg.Event]) -> None:

@@ -1,8 +1,8 @@
 """The serial driver's node: topics and services on one side, the guard of the machine on the other.
 
-The guard is a process of its own with the serial port and the protocol; the node starts it, or finds one. Callbacks
-convert and ask, a thread listens to the guard, and a third one publishes. So neither a busy executor nor a slow
-transport delays a stop, and when this process ends or hangs, the guard holds and lifts by itself.
+The guard is a process of its own with the serial port and the protocol; the node finds or starts it. Callbacks convert
+messages and send commands, one thread reads from the guard, and another one publishes. So neither a busy executor nor
+a slow transport delays a stop, and when this process ends or hangs, the guard holds and lifts by itself.
 
 A lifecycle node: configured, it has the port and watches the board; active, it moves what it is asked to. With the
 parameter ``autostart`` it takes both steps by itself. Its topics and services are there in every state and say why not.
@@ -56,7 +56,7 @@ from icu_common.nodes.runtime import run
 from icu_common.nodes.timers import every, runs_by_clock_topic, seconds_of
 
 STEPS = "driver:steps"
-"""Ledger entry in which the steps of simulated time are counted that the guard has dealt with."""
+"""Ledger entry for the number of steps of simulated time that the guard has processed."""
 LINK_CHECK_S = 0.5
 PUBLISH_WITHIN_S = 2.0
 """For what is still to be published when the driver ends."""
@@ -158,7 +158,7 @@ class SerialDriverNode(GraphLifecycleNode):
         )
 
     def _link_time(self) -> Callable[[], float] | None:
-        """Return the machine's time where it is not the guard's own clock; the guard learns of it in steps."""
+        """Return the source of the machine's time, which the guard gets in steps; None if the guard's clock serves."""
         ledger = this_process.ledger
         if ledger is not None and this_process.simulated:
             return lambda: ledger.time_ns / 1e9
@@ -170,12 +170,12 @@ class SerialDriverNode(GraphLifecycleNode):
         self._link.rivals(topic, text)
 
     def _on_trajectory_bytes(self, data: bytes) -> None:
-        """Unpack a trajectory, unless its size alone refuses it."""
+        """Unpack a trajectory, or reject it if it is too large."""
         most = self._live.config.max_points
         try:
             head = read_head(data)
         except ValueError as error:
-            self.get_logger().warning(f"a trajectory that cannot be read: {error}", throttle_duration_sec=1.0)
+            self.get_logger().warning(f"unreadable trajectory ignored: {error}", throttle_duration_sec=1.0)
             return
         if head.points > most or len(data) > max_bytes(most):
             reason = f"the trajectory has {head.points} points, 1 to {most} are needed"
@@ -190,7 +190,7 @@ class SerialDriverNode(GraphLifecycleNode):
         age_s = (self._now_ns() - stamp) / 1e9 if stamp else 0.0
         goal_id = message.header.frame_id or str(stamp)
         names, points = list(message.joint_names), [_waypoint(point) for point in message.points]
-        self._sources.look("trajectory")  # its message may be here before the event of its publisher
+        self._sources.look("trajectory")  # a message may arrive before the event of its publisher
         distrust = distrust_text(self._sources.names("trajectory"), self._live.config.trajectory_programs)
         self._link.run(goal_id, names, points, age_s=age_s, distrust=distrust)
 
@@ -240,7 +240,7 @@ class SerialDriverNode(GraphLifecycleNode):
         self._outbox.put(lambda: self._publish_events(events, stamp))
 
     def _on_step(self, now_ns: int) -> None:
-        """Let the guard act by the new time."""
+        """Send the new time to the guard."""
         ledger = this_process.ledger
         if ledger is not None:
             ledger.expect(STEPS)
@@ -248,7 +248,7 @@ class SerialDriverNode(GraphLifecycleNode):
             ledger.finish(STEPS)
 
     def _count_turn(self, steps: int, read: int, written: int) -> None:
-        """Count what a turn of the guard has dealt with, once what came of it has been published."""
+        """Count the work of one turn of the guard, after its events have been published."""
         self._outbox.put(lambda: self._count(steps, read, written))
 
     def _count(self, steps: int, read: int, written: int) -> None:
@@ -278,7 +278,7 @@ class SerialDriverNode(GraphLifecycleNode):
     def _publish_diagnostics(self) -> None:
         status = self._link.ask("status")
         if not isinstance(status, dict):
-            return  # a guard that does not answer is started again, and the state says so
+            return  # a guard that does not answer is restarted, and the state reports it
         state, settings = str(status["state"]), str(status["settings"])
         values = [(str(name), str(value)) for name, value in status["values"]]
         if settings and settings != self._settings_told:

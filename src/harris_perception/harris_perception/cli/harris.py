@@ -1,4 +1,4 @@
-"""Harris corners and edges of pictures, matches of two, and the evaluation of detectors, from the command line."""
+"""Find Harris corners and edges in pictures, match two pictures, and evaluate detectors."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Teach recognition a new panel, from a picture and places in it or from a layout file alone, and check that it works.
+"""Teach recognition a new panel from a picture and positions in it, or from a layout file, and check the result.
 
     panel_teach check config/scopes/dso_bench_4.yaml
     panel_teach picture photo.png --model pump_2 --size-mm 200 120 --corners 90,610 1180,598 1122,140 151,149 \\

@@ -76,7 +76,7 @@ class HandEyeConfig(Config):
     )
     contact_sigma_m: float = setting(0.0003, "How well a touched point is known", minimum=1e-6, maximum=0.01, unit="m")
     outlier_sigmas: float = setting(
-        4.5, "Samples beyond so many standard deviations are left out", minimum=2.0, maximum=100.0
+        4.5, "Standard deviations beyond which a sample is left out", minimum=2.0, maximum=100.0
     )
     max_outliers: float = setting(0.3, "Part of the samples that may be left out", minimum=0.0, maximum=0.49)
     max_rms_m: float = setting(0.0005, "Greatest misfit that is accepted", minimum=1e-6, maximum=0.1, unit="m")

@@ -75,7 +75,7 @@ class HarrisConfig(Config):
         choices=_RESPONSES,
     )
     k: float = setting(0.04, "Weight of trace^2 in the harris and geometric responses", minimum=0.001, maximum=0.24)
-    absolute_threshold: float = setting(0.0, "Responses up to this one are no corners", minimum=0.0, maximum=1e300)
+    absolute_threshold: float = setting(0.0, "Largest response that is not a corner", minimum=0.0, maximum=1e300)
     relative_threshold: float = setting(
         0.01,
         "Responses up to this fraction of the strongest corner's are no corners; "

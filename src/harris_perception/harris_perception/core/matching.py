@@ -42,7 +42,11 @@ class MatchConfig(Config):
         0.85, "Largest distance to the best match, as a fraction of that to another place", minimum=0.1, maximum=1.0
     )
     elsewhere_px: float = setting(
-        8.0, "Nearer than this is the same place for the ratio", minimum=0.0, maximum=1000.0, unit="px"
+        8.0,
+        "Distance below which two matches count as the same position for the ratio",
+        minimum=0.0,
+        maximum=1000.0,
+        unit="px",
     )
     geometry: str = setting("homography", "What all matches must agree on", choices=("none", "epipolar", "homography"))
     tolerance_px: float = setting(

@@ -199,7 +199,7 @@ def parse_request(text: str) -> Request:
         )
     try:
         given = json.loads(text)
-        # JSON has halves of characters, which no message can carry.
+        # JSON may contain half a surrogate pair, which no message can carry.
         goal_id = plain(str(given["id"]).encode().decode(), 80)
         pointed = []
         for name, kind, *numbers in given["controls"]:

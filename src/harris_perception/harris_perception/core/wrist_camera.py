@@ -52,7 +52,7 @@ class WristConfig(Config):
         0.17, "Least angle between the axes of two of these turns", minimum=0.001, maximum=1.5, unit="rad"
     )
     outlier_sigmas: float = setting(
-        4.5, "Poses beyond so many standard deviations are left out", minimum=2.0, maximum=100.0
+        4.5, "Standard deviations beyond which a pose is left out", minimum=2.0, maximum=100.0
     )
     max_outliers: float = setting(0.3, "Part of the poses that may be left out", minimum=0.0, maximum=0.49)
     max_turn_rms_rad: float = setting(

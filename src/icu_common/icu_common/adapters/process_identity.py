@@ -35,9 +35,10 @@ def _place() -> str:
 
 
 class ParticipantProcesses:
-    """Tells whether the process of a DDS participant exists, by the participant's identifier.
+    """Checks by the identifier of a DDS participant whether its process exists.
 
-    Fast DDS writes into it: vendor (2 bytes), host (2), the lower half of the process's number (2, little-endian).
+    Fast DDS identifiers begin with the vendor (2 bytes), the host (2) and the lower half of the process number (2,
+    little-endian).
     """
 
     def __init__(self) -> None:
@@ -45,16 +46,16 @@ class ParticipantProcesses:
 
     @property
     def known(self) -> bool:
-        """Whether this process's own participant has been learned."""
+        """Whether the identifier of this process's own participant is known."""
         return bool(self._own_host)
 
     def learn(self, own: bytes) -> None:
-        """Take the identifier of this process's own participant, if it is written like this."""
+        """Store the identifier of this process's own participant, if it has this form."""
         if own[4:6] == (os.getpid() & 0xFFFF).to_bytes(2, "little"):
             self._own_host = own[:4]
 
     def is_alive(self, participant: bytes) -> bool | None:
-        """Return whether a participant's process exists; None where that cannot be known, as on another host."""
+        """Return whether a participant's process exists; None if that cannot be known, for example on another host."""
         if not self.known or participant[:4] != self._own_host:
             return None
         low = int.from_bytes(participant[4:6], "little")

@@ -23,7 +23,7 @@ FRESH_S = 3.0
 def measure_processor_load(over_s: float = OVER_S) -> ProcessorLoad:
     """Measure for ``over_s`` seconds; this blocks, so a node calls it by :class:`LoadMeter`."""
     before, start_s = dict(_processor_times()), time.monotonic()
-    time.sleep(over_s)
+    time.sleep(over_s)  # the measured interval: no event ends it
     elapsed_s = time.monotonic() - start_s
     loads = []
     for process, used_s in _processor_times():

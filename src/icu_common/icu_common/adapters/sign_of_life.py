@@ -1,9 +1,10 @@
-"""Tells bring-up that this program is ready, and from then on that its interpreter runs and its work goes on."""
+"""Report to bring-up that this program is ready, and from then on that its interpreter and its callbacks run."""
 
 from __future__ import annotations
 
 import contextlib
 import os
+import select
 import threading
 import time
 
@@ -11,16 +12,16 @@ from icu_common.core.supervision import LONGEST_CALLBACK_S, READY_VARIABLE, SIGN
 
 
 class SignsOfLife:
-    """Writes a byte to bring-up's pipe now and, by a thread, every second in which Python code can run here.
+    """Writes a byte to bring-up's pipe at once and then, in a thread, every second in which Python code can run.
 
-    Bring-up ends a program that gives none any more. Native code that never comes back either holds the interpreter's
-    lock, so that no signal, timer or thread of the program could run, or it has released it, and the thread sees that
-    there was no :meth:`turn` for longer than any callback lasts. Without bring-up nothing is done.
+    Bring-up ends a program that sends no more signs. Native code that never returns either holds the interpreter's
+    lock, so that no thread of the program can run, or it has released the lock, and the thread finds that there was no
+    :meth:`turn` for longer than any callback lasts. Without bring-up the object does nothing.
 
     Parameters
     ----------
     longest_turn_s
-        No more signs are given while the last turn is longer ago.
+        Maximum seconds since the last turn; no signs are sent beyond it.
     """
 
     def __init__(self, longest_turn_s: float = LONGEST_CALLBACK_S) -> None:
@@ -38,10 +39,11 @@ class SignsOfLife:
         self._turned_s = time.monotonic()
 
     def _go_on(self, pipe: int) -> None:
-        with contextlib.suppress(OSError):  # bring-up has gone
-            while True:
-                time.sleep(SIGN_OF_LIFE_S)
+        with contextlib.suppress(OSError):  # bring-up has ended
+            end_of_bring_up = select.poll()
+            end_of_bring_up.register(pipe, 0)
+            while not end_of_bring_up.poll(1000.0 * SIGN_OF_LIFE_S):
                 if time.monotonic() - self._turned_s > self._longest_turn_s:
                     continue
-                with contextlib.suppress(BlockingIOError):  # it stands still
+                with contextlib.suppress(BlockingIOError):  # bring-up does not read
                     os.write(pipe, b"1")

@@ -19,7 +19,7 @@ PATIENCE_S = 5.0
 CALLBACK_PATIENCE_S = 120.0
 """Longest wait for a callback; bring-up ends a process that stays in one for longer."""
 GONE_S = 0.5
-"""The same on a topic that has just lost a subscription: a publisher may have counted it while it ended."""
+"""Longest such wait on a topic that has just lost a subscription: a publisher may have counted it while it ended."""
 _LOOK_FOR_ENDED_S = 0.5
 
 
@@ -67,7 +67,7 @@ class StepGate:
         self._since_s: npt.NDArray[np.float64] = np.zeros(0)
         self._subscriptions: Counts = np.zeros(0, np.int64)
         self._lost_s: npt.NDArray[np.float64] = np.zeros(0)
-        """When each topic lost a subscription last."""
+        """Time at which each topic last lost a subscription."""
         self._looked_s = clock()
         self._processes: dict[int, int] = {}
         self._suspended: dict[int, tuple[Counts, int]] = {}
@@ -98,7 +98,7 @@ class StepGate:
         busy = any(self._ledger.is_busy(row) for row in self._laggards(stuck))
         if busy and (now_s - since_s[stuck > 0]).max() <= self._callback_patience_s:
             return False
-        # What was to go to a process that has ended, nobody owes.
+        # Messages to an ended process are not waited for, and no running process is blamed for them.
         late = self._laggards(np.where(patience_s < self._patience_s, 0, stuck))
         self.left_behind = tuple(late.values())
         for row in late:

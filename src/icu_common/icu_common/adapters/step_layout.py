@@ -1,6 +1,6 @@
-"""The layout of the ledger of steps, and a writer of it without numpy, for a process that may not load that.
+"""The layout of the step ledger, and a writer without numpy for processes that must not load numpy.
 
-See :mod:`icu_common.adapters.step_ledger`, which has everything else.
+Everything else is in :mod:`icu_common.adapters.step_ledger`.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from pathlib import Path
 LEDGER_VARIABLE = "ICU_STEP_LEDGER"
 """Environment variable with the path of the ledger; without it a process runs by its own clock and counts nothing."""
 BYTES_READ, BYTES_WRITTEN = "serial:read", "serial:written"
-"""Entries in which a driver counts the bytes that it has processed and sent."""
+"""Ledger entries for the bytes that a driver has processed and sent."""
 MAX_PROCESSES, MAX_TOPICS, NAME_BYTES = 64, 512, 160
 HEAD, DELIVERIES, FINISHED, SUBSCRIPTIONS, MATCHED = range(5)
 PID, BUSY, TIME, TOPICS, ORIGIN = range(5)
@@ -28,7 +28,7 @@ _CELL = struct.Struct("=q")
 
 @contextlib.contextmanager
 def locked(descriptor: int) -> Iterator[None]:
-    """Hold the ledger's file locked."""
+    """Lock the ledger's file."""
     fcntl.flock(descriptor, fcntl.LOCK_EX)
     try:
         yield
@@ -37,24 +37,24 @@ def locked(descriptor: int) -> Iterator[None]:
 
 
 class StepCounts:
-    """Reads the time of a ledger, and counts what this process has finished of topics that the ledger knows.
+    """Reads the time of a ledger, and counts the messages that this process has finished on the ledger's topics.
 
     Parameters
     ----------
     path
-        The ledger's file, which must be there.
+        The ledger's file.
 
     Raises
     ------
     OSError
-        If it is not, or has another size.
+        If the file does not exist or has another size.
     """
 
     def __init__(self, path: Path) -> None:
         descriptor = os.open(path, os.O_RDWR | os.O_CLOEXEC)
         try:
             if os.fstat(descriptor).st_size != SIZE:
-                raise OSError(f"{path} is no ledger of steps")
+                raise OSError(f"{path} is not a step ledger")
             self._map = mmap.mmap(descriptor, SIZE)
         except OSError:
             os.close(descriptor)
@@ -68,7 +68,7 @@ class StepCounts:
         return self._read(HEAD, 0, TIME) / 1e9
 
     def finish(self, topic: str, count: int) -> None:
-        """Count what this process has dealt with; a topic that the ledger does not know is left out."""
+        """Count finished messages of a topic; a topic that is not in the ledger is ignored."""
         column = self._column(topic)
         if column < 0 or (self._row < 0 and not self._register()):
             return

@@ -225,7 +225,7 @@ class StepLedger:
                 self.forget(row)
 
     def restart(self, time_ns: int = 0) -> None:
-        """Begin another run: forget ended processes and the time of the run before; ``time_ns`` is 0 for none yet."""
+        """Start another run: forget ended processes and the previous time; ``time_ns`` is 0 if there is none yet."""
         self.forget_ended()
         self._table[HEAD, 0, [TIME, ORIGIN]] = time_ns
 

@@ -19,7 +19,7 @@ GRAPH_TIME, WALL_TIME = "graph", "wall"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Setting:
-    """What is known of one field beside its type and default; ``guards`` is described at :func:`setting`."""
+    """Metadata of one field beside its type and default; :func:`setting` describes ``guards``."""
 
     description: str
     minimum: float | None = None
@@ -63,8 +63,8 @@ def setting(
         For a duration: the clock that measures it. GRAPH_TIME, the default, is as slow as a slow simulation; WALL_TIME
         is for what guards people or programs. See docs/decisions/simulated-time.md.
     guards
-        For a setting that guards people: what happens when it is weakened. Such a parameter has a maximum near its
-        purpose and changes only while the machine is at rest. See docs/decisions/sources.md.
+        For a safety setting: the danger of a weaker value. A safety parameter has a maximum near its purpose and
+        changes only while the machine is at rest. See docs/decisions/sources.md.
     """
     info = Setting(
         description=description,

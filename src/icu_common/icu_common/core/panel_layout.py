@@ -261,7 +261,7 @@ class _Reader:
         if not 0 <= detent <= 180:
             raise self.error(entry, f"detent_deg = {detent:g} is not within 0 to 180 degrees")
         if "detent_deg" in entry and not detent:
-            raise self.error(entry, f"detent_deg = {detent:g}: a knob without clicks has no such key")
+            raise self.error(entry, f"detent_deg = {detent:g}: remove this key for a knob without clicks")
         if kind == "knob" and shape != "circle":
             raise self.error(entry, f"knob {name!r} is a {shape}; a knob is a circle")
         if shape == "circle" and width != height:
@@ -381,7 +381,7 @@ class _Reader:
             raise self.error(entry, f"{key} = {value!r}: a text is needed (quote it)")
         if len(value) > MAX_TEXT or not value.isprintable():
             found = f"{key} = {value[:20]!r}..., {len(value)} characters"
-            raise self.error(entry, f"{found}: a text of up to {MAX_TEXT} printable characters is needed")
+            raise self.error(entry, f"{found}: expected up to {MAX_TEXT} printable characters")
         return value
 
     def choice(self, entry: dict[str, Any], key: str, choices: tuple[str, ...], default: str | None = None) -> str:

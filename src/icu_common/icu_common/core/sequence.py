@@ -28,7 +28,7 @@ _CHECK = re.compile(r"(?:(effect|screen)|(lamp|angle):([A-Za-z][A-Za-z0-9_]*)=([
 
 
 class SequenceError(ValueError):
-    """A sequence is wrong; the message names the line or the step, and quotes at most a part of it."""
+    """A sequence is invalid; the message names the line or the step, and quotes only a part of long texts."""
 
     def __init__(self, what: str) -> None:
         super().__init__(plain(what))

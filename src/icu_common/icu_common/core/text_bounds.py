@@ -1,7 +1,7 @@
-"""Bounds of texts from outside: how deep they nest, and how they are shown.
+"""Limits of texts from outside: nesting depth, length, and escaped characters.
 
-A text that another program, a browser or a board sends is cut and escaped once, where it comes in: from there on it is
-safe in the log, on a terminal, in the audit file and on the page.
+A text from another program, a browser or a board is cut and escaped once, where it is received. After that it is safe
+in the log, on a terminal, in the audit file and on the page.
 """
 
 from __future__ import annotations
@@ -9,18 +9,18 @@ from __future__ import annotations
 import re
 
 MAX_TEXT = 400
-"""Maximum number of characters of one text from outside; the longest of our own sentences has 300."""
+"""Maximum number of characters of a text from outside; this project's longest sentence has 300."""
 _BRACKET = re.compile(r"[\[\]{}\n]")
 _UNSEEN = re.compile(
-    # Controls (C0, DEL, C1), marks that turn the direction of writing, separators of lines, half characters.
+    # Controls (C0, DEL, C1), marks of text direction, line separators, half surrogate pairs.
     "[\x00-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ufeff\ud800-\udfff]"
 )
 
 
 def deepest_line(text: str, limit: int) -> int:
-    """Return the line on which more than ``limit`` brackets are open, 0 where that is nowhere.
+    """Return the first line on which more than ``limit`` brackets are open, 0 if there is none.
 
-    Brackets in quoted texts count as well: this runs before any parser, which may take seconds.
+    Brackets in quoted texts count as well: this runs before the parser, which may take seconds.
     """
     depth, line = 0, 1
     for found in _BRACKET.finditer(text):

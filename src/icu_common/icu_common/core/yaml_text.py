@@ -1,7 +1,7 @@
-"""YAML whose mistakes all have a line, and whose size is bounded before it is read.
+"""A YAML loader whose errors name a line, and whose input is limited before it is parsed.
 
-PyYAML lets errors of what builds its values through without a line, takes seconds for a few kB of nested brackets, and
-reads the numbers of YAML 1.1: ``5:20`` as 320, ``010`` as 8. Here both are texts, which no field for a number accepts.
+PyYAML raises errors without a line when it constructs values, takes seconds for a few kB of nested brackets, and reads
+the numbers of YAML 1.1: ``5:20`` as 320, ``010`` as 8. Here both are texts, which no numeric field accepts.
 """
 
 from __future__ import annotations
@@ -27,22 +27,22 @@ class RepeatedKey(yaml.composer.ComposerError):
 
 
 class Loader(yaml.SafeLoader):
-    """Safe YAML; what cannot be built (a 13th month, a list as a key) or stands twice is an error with its line.
+    """Safe YAML loader; invalid values (a 13th month, a list as a key) and repeated keys are errors with a line.
 
     Attributes
     ----------
     max_bytes, max_depth, max_nodes
-        Limits of the text, of the levels in it, and of its values, where an alias counts as what it repeats.
+        Maximum size, number of levels, and number of values; an alias counts as the values that it repeats.
     """
 
     max_bytes, max_depth, max_nodes = 1_000_000, 24, 40_000
 
     def __init__(self, stream: str) -> None:
         if (size := len(stream.encode("utf-8", "surrogatepass"))) > self.max_bytes:
-            raise yaml.YAMLError(f"the text has {size} bytes, at most {self.max_bytes} are allowed")
+            raise yaml.YAMLError(f"the text has {size} bytes (limit {self.max_bytes})")
         if line := deepest_line(stream, self.max_depth):
             mark = yaml.Mark("", 0, line - 1, 0, None, 0)
-            raise yaml.composer.ComposerError(None, None, f"more than {self.max_depth} brackets are open", mark)
+            raise yaml.composer.ComposerError(None, None, f"more than {self.max_depth} open brackets", mark)
         super().__init__(stream)
         self._depth = self._nodes = 0
         self._repeated: dict[str, int] = {}
@@ -100,7 +100,7 @@ Loader.add_implicit_resolver(
 
 
 class ForeignLoader(Loader):
-    """For texts that other programs send: bounded so that reading one takes no longer than a message may."""
+    """Loader for texts from other programs; its limits keep the parsing time below that allowed for a message."""
 
     max_bytes, max_depth, max_nodes = 64 * 1024, 12, 4_000
 
@@ -124,7 +124,7 @@ def values_of_pairs(pairs: Iterable[str]) -> dict[str, Any]:
     for pair in pairs:
         name, equals, value = pair.partition("=")
         if not equals:
-            raise ValueError(f"{pair!r}: KEY=VALUE is needed")
+            raise ValueError(f"{pair!r}: expected KEY=VALUE")
         try:
             values[name] = yaml.load(value, Loader)
         except UNREADABLE as error:

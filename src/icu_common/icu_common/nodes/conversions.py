@@ -50,7 +50,7 @@ _CHANNELS |= {"8UC1": (np.uint8, 1), "16UC1": (np.uint16, 1), "32FC1": (np.float
 MOST_AHEAD_S = 0.1
 """So far the clocks of machines may differ: docs/decisions/several-machines.md."""
 MAX_PAIRS, MAX_CONTROLS, MAX_NAME = 100, 400, 80
-"""Maximum number of values of a status, of controls of a panel, and of characters of a name."""
+"""Maximum numbers of values in a status, of controls of a panel, and of characters in a name."""
 LEVELS = {"ok": DiagnosticStatus.OK, "warn": DiagnosticStatus.WARN, "error": DiagnosticStatus.ERROR}
 
 
@@ -427,7 +427,7 @@ def result_message(result: GoalResult, stamp: int) -> DiagnosticArray:
 
 
 def pairs_of(status: DiagnosticStatus) -> dict[str, str]:
-    """Return a status's values by key, the first :data:`MAX_PAIRS` of them, as texts that may be shown anywhere."""
+    """Return the first :data:`MAX_PAIRS` values of a status by key, as texts that are safe to show."""
     return {plain(pair.key, MAX_NAME): plain(pair.value) for pair in status.values[:MAX_PAIRS]}
 
 

@@ -155,13 +155,13 @@ class _Graph:
         Parameters
         ----------
         msg_type, topic, callback, qos_profile, **kwargs
-            As for Node. With ``raw`` only a given ``max_bytes`` is a limit.
+            As for Node. With ``raw`` there is no limit unless ``max_bytes`` is given.
         observed
-            Whether the process's observer learns of it.
+            Whether the process's observer counts the messages.
         max_bytes
             Largest serialised message that is unpacked, 0 for no limit; None for the limit of the type.
         too_large
-            Called with the size of a larger message, in bytes, in place of ``callback``.
+            Called with the size in bytes of a larger message instead of ``callback``.
         """
         raw = bool(kwargs.get("raw", False))
         if max_bytes is None:
@@ -208,7 +208,7 @@ class _Graph:
         max_bytes: int,
         too_large: Callable[[int], object] | None,
     ) -> Callable[[bytes], None]:
-        """Return a callback for serialised messages that unpacks those within the limit."""
+        """Return a callback that unpacks serialised messages within the limit and drops larger ones."""
 
         def bounded(data: bytes) -> None:
             if len(data) > max_bytes:

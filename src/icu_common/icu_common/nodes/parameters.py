@@ -31,13 +31,13 @@ class LiveParameters(Generic[C]):
     check
         Called with a changed configuration before it is accepted; a ConfigError refuses it.
     unrest
-        Returns why the machine is not at rest, empty at rest: settings that guard people change only then. A
-        configuration with such settings needs it.
+        Returns why the machine is not at rest, empty at rest: safety settings change only at rest. Required for a
+        configuration with such settings.
 
     Raises
     ------
     TypeError
-        If nothing tells whether the machine is at rest, though there are settings that guard people.
+        If the configuration has safety settings and there is no ``unrest``.
     ConfigError
         If a parameter file has a key that the configuration does not know, or a value that it refuses.
     """
@@ -54,7 +54,7 @@ class LiveParameters(Generic[C]):
         self._on_change, self._check, self._unrest = on_change, check, unrest
         self._guards = {i.name for i in settings_of(config_class) if i.setting.guards and not i.setting.read_only}
         if self._guards and unrest is None:
-            raise TypeError(f"{config_class.__name__} has settings that guard people: unrest is needed")
+            raise TypeError(f"{config_class.__name__} has safety settings: unrest is required")
         items = {item.name: item for item in settings_of(config_class)}
         _refuse_unknown(node, items)
         values: dict[str, Any] = {}

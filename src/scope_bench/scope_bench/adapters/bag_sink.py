@@ -34,11 +34,11 @@ class BagSink:
     failure
         Why nothing is written any more, else empty.
     dropped
-        Messages that are not in the bag though they came: for which there was no room, or after a failure.
+        Number of received messages that are not in the bag: the queue was full, or the recording had failed.
     dropped_by_topic
-        The same by topic.
+        The same number by topic.
     thinned
-        Messages that are left out because of ``rates_hz``.
+        Number of messages left out because of ``rates_hz``.
     messages, bytes
         What is in the bag.
 
@@ -85,7 +85,7 @@ class BagSink:
 
     @property
     def dropped(self) -> int:
-        """Messages that came and are not in the bag."""
+        """Number of received messages that are not in the bag."""
         return self.dropped_by_topic.total()
 
     def put(self, topic: str, stamp_ns: int, data: bytes) -> None:

@@ -64,13 +64,13 @@ class BagTopic:
     name, type
         As in ROS, the type as ``package/msg/Name``.
     count
-        Messages in the files.
+        Number of messages in the files.
     qos
         The profiles that its publishers offered.
     announced
-        Messages that metadata.yaml announces.
+        Number of messages according to metadata.yaml.
     hash
-        That of the type's definition in the bag (RIHS01), "" if the bag has none.
+        Hash of the type's definition in the bag (RIHS01), "" if the bag has none.
     """
 
     name: str
@@ -99,7 +99,7 @@ class BagWriter:
     zstd_chunks
         Compress each chunk of an MCAP file, while it is written.
     split_bytes, split_ns
-        Begin another file after so many bytes of messages, or after such a time; None: one file.
+        Maximum bytes of messages, and maximum time, of one file; None: one file.
 
     Attributes
     ----------
@@ -126,7 +126,7 @@ class BagWriter:
         split_ns: int | None = None,
     ) -> None:
         if zstd_chunks and (zstd or storage != "mcap"):
-            raise BagError(f"chunks are compressed in MCAP files that are not compressed as a whole, not in {storage}")
+            raise BagError(f"compressed chunks need an MCAP bag that is not compressed as a whole, not {storage}")
         if zstd and (split_bytes or split_ns):
             raise BagError("a bag that is compressed as a whole has one file")
         self._split_bytes, self._split_ns = split_bytes or sys.maxsize, split_ns or sys.maxsize
@@ -166,7 +166,7 @@ class BagWriter:
         self._note_change()
 
     def change_qos(self, topic: str, qos: Sequence[Qos]) -> None:
-        """Replace the profiles of a topic; those in the file stay the first ones, metadata.yaml gets the last."""
+        """Replace the profiles of a topic: the file keeps the first ones, metadata.yaml gets the last ones."""
         self._connections[topic] = self._writer.change_qos(self._connections[topic], qos)
 
     def write(self, topic: str, stamp_ns: int, data: bytes) -> None:
@@ -360,7 +360,7 @@ class BagReader:
         """
         count, there = sum(1 for _ in self.messages()), sum(self._reader.announced.values()) or self.count
         if count != there:
-            raise BagError(f"{self.path} is broken: {count} of {there} messages are found; {_advice(self.path)}")
+            raise BagError(f"{self.path} is broken: {count} of {there} messages found; {_advice(self.path)}")
         return count
 
     def decode(self, data: bytes, msgtype: str) -> Any:

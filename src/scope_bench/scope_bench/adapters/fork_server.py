@@ -17,11 +17,11 @@ import importlib.metadata
 import json
 import os
 import runpy
+import select
 import signal
 import socket
 import subprocess
 import sys
-import time
 from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -272,8 +272,10 @@ def _become(request: _Request, link: socket.socket, bring_up: int, answering: in
     middle = os.getpid()
     if os.fork():
         os._exit(0)
-    while os.getppid() == middle:
-        time.sleep(0.0005)
+    # The kernel gives a process's children away before its descriptor becomes readable.
+    ended = os.pidfd_open(middle)
+    select.select([ended], [], [])
+    os.close(ended)
     die_with_parent()
     if os.getppid() != bring_up:  # it has ended meanwhile
         os._exit(1)

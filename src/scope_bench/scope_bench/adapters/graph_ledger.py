@@ -30,14 +30,14 @@ def is_used(path: Path) -> bool:
 
 @contextlib.contextmanager
 def new_ledger(path: Path, *, simulated: bool) -> Iterator[None]:
-    """Make a ledger and remove it at the end; simulated time begins at the system's time.
+    """Create a ledger and remove it at the end; simulated time starts at the system's time.
 
-    A file that is there stays: a recorder or a player that was started before the graph counts in it.
+    An existing file is kept: a recorder or a player that was started before the graph counts in it.
     """
     time_ns = time.time_ns() if simulated else 0
     try:
         _restart(path, time_ns)
-    except OSError:  # another version has made it
+    except OSError:  # a file of another version
         path.unlink()
         _restart(path, time_ns)
     try:

@@ -1,4 +1,4 @@
-"""Show what is in a rosbag2 bag, or save what can be read of a broken one."""
+"""Show the contents of a rosbag2 bag, or save the readable part of a broken one."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def description(bag: BagReader) -> str:
         lines.append(f"  {topic.name:<{width}} {topic.count:7d} {rate}  {topic.type}  {'; '.join(sorted(kinds))}")
         if topic.announced > topic.count:
             lines.append(
-                f"  {'':<{width}} metadata.yaml announces {topic.announced} messages, {topic.count} are in the files"
+                f"  {'':<{width}} metadata.yaml lists {topic.announced} messages, the files have {topic.count}"
             )
     return "\n".join(lines)
 

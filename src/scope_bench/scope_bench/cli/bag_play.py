@@ -1,7 +1,7 @@
 """Play a rosbag2 bag, of this project or of `ros2 bag`; space pauses, Ctrl-C ends it.
 
-Topics that move a machine are only played with --moving: beside a real robot they would be orders. Trajectories come as
-gantry/recorded_trajectory otherwise, for pages that show them.
+Topics that move a machine are played only with --moving, because a real robot would obey them. Without it, trajectories
+are published on gantry/recorded_trajectory, for pages that show them.
 """
 
 from __future__ import annotations
@@ -43,7 +43,11 @@ def parser() -> argparse.ArgumentParser:
     result.add_argument("--topics", nargs="+", metavar="NAME", help="only these")
     result.add_argument("--exclude", nargs="+", default=[], metavar="NAME", help="all but these")
     result.add_argument(
-        "--start-offset", type=float, default=0.0, metavar="S", help="begin later, with the last latched messages"
+        "--start-offset",
+        type=float,
+        default=0.0,
+        metavar="S",
+        help="start S seconds later, with the last latched messages",
     )
     result.add_argument("--clock", type=float, metavar="HZ", help="publish /clock so often (default: not at all)")
     result.add_argument("--keep-compressed", action="store_true", help="do not unpack compressed pictures")
@@ -58,11 +62,15 @@ def parser() -> argparse.ArgumentParser:
         "--wait",
         type=float,
         metavar="S",
-        help="longest wait for a subscriber of each topic (default: until all that are running are matched, "
+        help="longest wait for a subscriber of each topic (default: until all running subscribers are matched, "
         f"at most {_FIRST_SUBSCRIBER_S:g} s for the first)",
     )
     result.add_argument(
-        "--allow-missing", nargs="+", default=[], metavar="NAME", help=f"topics whose loss is no exit code {INCOMPLETE}"
+        "--allow-missing",
+        nargs="+",
+        default=[],
+        metavar="NAME",
+        help=f"topics whose missing messages do not cause exit code {INCOMPLETE}",
     )
     result.add_argument(
         "--patience", type=float, default=60.0, metavar="S", help="at most so long for one message in step"
@@ -72,7 +80,7 @@ def parser() -> argparse.ArgumentParser:
 
 
 def chosen(bag: BagReader, options: argparse.Namespace, account: Account) -> list[BagTopic]:
-    """Return the topics that are to be played; those that cannot be are missing in the account.
+    """Return the topics to play; those that cannot be played are missing in the account.
 
     Raises
     ------
@@ -95,7 +103,7 @@ def chosen(bag: BagReader, options: argparse.Namespace, account: Account) -> lis
     for topic in wanted:
         problem = type_problem(bag, topic)
         if topic.name in playable:
-            problem = f"as {topic.type}, beside {playable[topic.name].type}: a topic is played as one type"
+            problem = f"type {topic.type} differs from {playable[topic.name].type}: a topic is played with one type"
         if not problem:
             playable[topic.name] = topic
             continue
@@ -104,7 +112,7 @@ def chosen(bag: BagReader, options: argparse.Namespace, account: Account) -> lis
         account.miss(topic.name, f"not played: {problem}", topic.count, topic.count)
     for topic in wanted:
         if topic.announced > topic.count:
-            reason = "metadata.yaml announces them, and no file has them"
+            reason = "listed in metadata.yaml, but in no file"
             account.miss(topic.name, reason, topic.announced - topic.count, topic.announced)
     return list(playable.values())
 
@@ -130,7 +138,7 @@ def recorded_twice(bag: BagReader, names: Collection[str]) -> set[str]:
 
 _DRIVER = "gantry/driver_state"
 _FIRST_SUBSCRIBER_S, _QUIET_S = 5.0, 0.5
-"""Longest wait for a first subscriber, and seconds without a new one before playback begins."""
+"""Longest wait for a first subscriber, and seconds without a new one before playback starts."""
 _DRIVER_FOUND_S, _LOOK_S = 1.0, 0.5
 """So long is looked for a driver at work before anything is played, and so often later: programs find each other only
 after a while."""
@@ -229,7 +237,7 @@ class Playing:
                 )
 
     def _play_latched(self) -> None:
-        """Send what a subscriber of a latched topic would have at the start offset."""
+        """Send the messages that a subscriber of a latched topic would have at the start offset."""
         if not self._options.start_offset:
             return
         profiles = {topic.name: playing_qos(topic.qos) for topic in self._topics}
@@ -251,8 +259,8 @@ class Playing:
         self._sent[topic] += 1
 
     def _play_once(self) -> bool:
-        """Play from the start offset; return whether that was all, to the end."""
-        # Without an offset no time is a limit: no stamp may leave a message out.
+        """Play from the start offset; return whether playback reached the end."""
+        # Without an offset there is no time limit, so that no stamp excludes a message.
         start_ns = self._start_ns if self._options.start_offset else 0
         for topic, stamp_ns, data in self._bag.messages(self._topics, start_ns):
             while self._session.goes_on and (wait_s := self._clock.wall_s_until(stamp_ns, time.monotonic())) > 0:
@@ -264,10 +272,10 @@ class Playing:
         return not start_ns
 
     def _compare(self) -> None:
-        """Compare what was sent with what the files say they have."""
+        """Compare the numbers of sent messages with those of the files."""
         for topic in self._topics:
             if (short := topic.count - self._sent[topic.name]) > 0:
-                self.account.miss(topic.name, "the bag's index does not lead to them", short, topic.count)
+                self.account.miss(topic.name, "not reachable by the bag's index", short, topic.count)
 
     def _serve(self, timeout_s: float, newest_ns: int) -> None:
         self._session.spin(timeout_s)

@@ -44,8 +44,10 @@ def parser() -> argparse.ArgumentParser:
     result.add_argument("--duration", type=float, default=float("inf"), metavar="S", help="end after so long")
     result.add_argument("--child-of", type=int, metavar="PID", help="end when this parent process has ended")
     result.add_argument("--zstd", action="store_true", help="compress the chunks of the MCAP file, without loss")
-    result.add_argument("--split-size", type=float, metavar="MB", help="begin another file after such a size")
-    result.add_argument("--split-time", type=float, metavar="S", help="begin another file after such a time")
+    result.add_argument(
+        "--split-size", type=float, metavar="MB", help="start another file after MB megabytes of messages"
+    )
+    result.add_argument("--split-time", type=float, metavar="S", help="start another file after S seconds")
     result.add_argument(
         "--max-rate",
         nargs="+",
@@ -55,7 +57,11 @@ def parser() -> argparse.ArgumentParser:
         help="maximum rate of a topic",
     )
     result.add_argument(
-        "--allow-missing", nargs="+", default=[], metavar="NAME", help=f"topics whose loss is no exit code {INCOMPLETE}"
+        "--allow-missing",
+        nargs="+",
+        default=[],
+        metavar="NAME",
+        help=f"topics whose missing messages do not cause exit code {INCOMPLETE}",
     )
     result.add_argument("--keep-free", type=float, default=64.0, metavar="MB", help="end when the disk has less")
     return result

@@ -1,4 +1,4 @@
-"""Renders pictures of the bench without ROS, with the truth about them as JSON, for trying out perception."""
+"""Render pictures of the bench without ROS, with their ground truth as JSON, for experiments with perception."""
 
 from __future__ import annotations
 

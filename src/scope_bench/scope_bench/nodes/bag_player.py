@@ -119,12 +119,12 @@ class BagPlayer(GraphNode):
 
     @property
     def matched(self) -> tuple[int, ...]:
-        """Number of subscribers that each topic is matched with."""
+        """Number of matched subscribers of each topic."""
         return tuple(output.get_subscription_count() for output in self._outputs.values())
 
     @property
     def unmatched(self) -> bool:
-        """Whether the graph has a subscriber that is not matched yet, or never will be, as of another QoS."""
+        """Whether the graph has a subscriber that is not matched yet, or cannot be because of its QoS."""
         return any(
             self.count_subscribers(output.topic_name) > output.get_subscription_count()
             for output in self._outputs.values()

@@ -81,7 +81,7 @@ def listening_qos(kind: str, offers: Sequence[QoSProfile]) -> QoSProfile:
 def playing_qos(offers: Sequence[Qos]) -> QoSProfile:
     """Return what a player offers: what all of the recorded publishers offered, else reliable and volatile.
 
-    The player is one publisher in the place of all: for late subscribers it keeps as much as they kept together.
+    The player replaces all publishers: for late subscribers it keeps as many messages as they kept together.
 
     Bags of Jazzy do not know the publishers' history; a depth of 50 takes its place. Volatile topics have no less:
     nobody can tell the difference, but what is played faster than it was recorded arrives whole.

@@ -28,7 +28,7 @@ _TAKE_IN_STEP_S = 0.002
 """The time of a graph that runs in step stands still until its messages have been taken."""
 _LEAST_QUIET_S = 0.5
 _LARGE_AT_ONCE, _SMALL_AT_ONCE = 4, 1000
-"""Of each topic, before the other topics have their turn again."""
+"""Maximum number of messages taken from a topic before the other topics have their turn."""
 
 
 class BagRecorder(GraphNode):
@@ -38,7 +38,7 @@ class BagRecorder(GraphNode):
     so nobody serves their subscriptions, as an executor does not tell that time. Pictures and clouds come by sockets of
     their own: a recorder that is held up for a twentieth of a second has lost some of them, and with them, in the same
     buffer, orders and states that nobody sends a second time. Those sockets belong to a context of its own, which takes
-    ``arguments`` (``--ros-args --enclave ...``). The ``account`` gets what is not recorded.
+    ``arguments`` (``--ros-args --enclave ...``). The ``account`` gets the messages that are not recorded.
     """
 
     def __init__(
@@ -130,7 +130,7 @@ class BagRecorder(GraphNode):
                 self._record(name, kinds)
         for name, ear in self._heard.items():
             count = self.count_publishers(name)
-            # Asking for the profiles takes half a millisecond for each topic.
+            # A query of the profiles takes half a millisecond for each topic.
             if count != ear.publishers or count != ear.matched:
                 self._follow(name, ear)
 
@@ -140,7 +140,7 @@ class BagRecorder(GraphNode):
         for kind in {one.topic_type for one in publishers if one.topic_type != ear.kind}:
             if (name, kind) not in self._other_types:
                 self._other_types.add((name, kind))
-                self._not_recorded(name, f"as {kind}, beside {ear.kind}: a topic is recorded as one type")
+                self._not_recorded(name, f"type {kind} differs from {ear.kind}: a topic is recorded with one type")
         if ear.follow([one.qos_profile for one in publishers if one.topic_type == ear.kind]):
             profiles = tuple(recorded_qos(offer) for offer in ear.offers)
             self._sink.add_topic(BagTopic(name=name, type=ear.kind, qos=profiles))
@@ -150,10 +150,10 @@ class BagRecorder(GraphNode):
         self.get_logger().error(f"{name} is not recorded: {why}")
 
     def account_for_losses(self) -> None:
-        """Add what the middleware has lost to the account, once, at the end."""
+        """Add the messages that the middleware has lost to the account, once, at the end."""
         for name, ear in self._heard.items():
             if ear.lost:
-                self._account.miss(name, "sent, and lost before the recorder took them", ear.lost)
+                self._account.miss(name, "sent, and lost before the recorder received them", ear.lost)
 
     def _record(self, name: str, kinds: list[str]) -> None:
         offers = [info.qos_profile for info in self.get_publishers_info_by_topic(name)]

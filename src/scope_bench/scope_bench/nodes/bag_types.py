@@ -1,4 +1,4 @@
-"""Compares the message types of a bag with those that are installed."""
+"""Compare the message types of a bag with the installed ones."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from scope_bench.adapters.bags import BagReader, BagTopic
 from scope_bench.nodes.bag_qos import message_class
 
 _PADDING = 3
-"""Maximum number of bytes by which two writers of CDR differ at the end of a message."""
+"""Maximum difference in bytes between two CDR writers at the end of a message."""
 
 
 @functools.cache
 def installed_hash(kind: str) -> str:
-    """Return the hash (RIHS01) of the installed ``package/msg/Name``, "" where none is installed, as in Humble."""
+    """Return the hash (RIHS01) of the installed ``package/msg/Name``, "" if it has none (Humble)."""
     prefixes = [*filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)), sys.prefix]
     for prefix in prefixes:
         file = Path(prefix, "share", f"{kind}.json")
@@ -31,7 +31,7 @@ def installed_hash(kind: str) -> str:
 
 
 def type_problem(bag: BagReader, topic: BagTopic) -> str:
-    """Return why no subscriber here could read a topic's messages, "" if nothing is known against it.
+    """Return why no local subscriber could read a topic's messages, "" if no reason is known.
 
     The hash of the bag's definition is compared. A bag without definitions (Foxy, Humble in sqlite3) only has
     messages: the first one must have the length that the installed type gives it.
@@ -49,6 +49,6 @@ def type_problem(bag: BagReader, topic: BagTopic) -> str:
         return ""
     try:
         fits = abs(len(serialize_message(deserialize_message(first, message))) - len(first)) <= _PADDING
-    except Exception:  # each middleware has exceptions of its own for bytes that it cannot read
+    except Exception:  # each middleware has its own exceptions for unreadable bytes
         fits = False
     return "" if fits else f"{topic.type} has another definition here than in the bag: its first message cannot be read"

@@ -1,4 +1,4 @@
-"""Node that hears several robots and shows them on one page; it publishes nothing."""
+"""Node that shows several robots on one page; it publishes nothing."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Subscriptions of a recorder to one topic: one for each kind of QoS that its publishers offer."""
+"""A recorder's subscriptions to one topic: one for each kind of QoS that its publishers offer."""
 
 from __future__ import annotations
 
@@ -16,26 +16,26 @@ Taken = tuple[int, bytes, Callable[[bytes], None]]
 
 
 class TopicEar:
-    """Receives what all publishers of a topic send, each message once.
+    """Receives the messages of all publishers of a topic, each message once.
 
-    A subscription that every publisher matches asks for the weakest QoS of all, and would miss the latched messages and
-    the repetitions that the other publishers offer.
+    A single subscription that matches every publisher has the weakest QoS of all. It would miss the latched messages
+    and the repetitions that stronger publishers offer.
 
     Parameters
     ----------
     kind
         Type, as ``package/msg/Name``.
     subscribe
-        Makes a subscription.
+        Creates a subscription.
     most
-        Maximum number of messages that are taken at once.
+        Maximum number of messages taken at once.
 
     Attributes
     ----------
     offers
         Profiles of all publishers that the topic has had.
     publishers
-        Number of publishers when the profiles were looked at.
+        Number of publishers at the last query of the profiles.
     """
 
     def __init__(self, kind: str, subscribe: Callable[[QoSProfile], Subscription], most: int) -> None:
@@ -48,16 +48,16 @@ class TopicEar:
 
     @property
     def lost(self) -> int:
-        """Messages that were sent and not received."""
+        """Number of messages that were sent and not received."""
         return self._gaps.lost
 
     @property
     def matched(self) -> int:
-        """Number of publishers that are matched."""
+        """Number of matched publishers."""
         return max((one.handle.get_publisher_count() for one in self.subscriptions.values()), default=0)
 
     def follow(self, offers: Sequence[QoSProfile]) -> bool:
-        """Subscribe to what the publishers offer now; return whether there is a new profile among it."""
+        """Subscribe to all offered kinds of QoS; return whether a profile is new."""
         self.publishers = len(offers)
         new = [offer for number, offer in enumerate(offers) if offer not in [*self.offers, *offers[:number]]]
         self.offers += new
@@ -69,7 +69,7 @@ class TopicEar:
         return bool(new)
 
     def take(self) -> Iterator[Taken]:
-        """Yield (time of reception in ns or 0, CDR, callback) of what has come; the callback takes the CDR."""
+        """Yield (time of reception in ns or 0, CDR, callback) of each received message; the callback takes the CDR."""
         several = len(self.subscriptions) > 1
         for subscription in list(self.subscriptions.values()):
             for _ in range(self._most):
@@ -79,7 +79,7 @@ class TopicEar:
                 sent_ns, number = about.get("source_timestamp") or 0, about.get("publication_sequence_number")
                 if several and sent_ns and number is not None:
                     if (sent_ns, number) in self._seen:
-                        subscription.callback(data)  # a player in step counts each that was sent
+                        subscription.callback(data)  # a player in step counts each sent message
                         continue
                     self._seen.append((sent_ns, number))
                 if number is not None:

@@ -34,8 +34,8 @@ _LOOK_S = 1.0
 """So often the file of passwords is read for those who have come in by it."""
 _SPEAK_WITHIN_S = 5.0
 _MAX_PATH = 200  # characters; far below what a file system takes for a name
-_MAX_GUESSES = 8  # passwords that wait to be checked: each takes a tenth of a second of a processor
-_MAX_OF_ONE = 3  # of them at one account from one address, as that of all tunnels: others find a place
+_MAX_GUESSES = 8  # passwords in a queue: each check takes 0.1 s of a processor
+_MAX_OF_ONE = 3  # of them for one account and address (all tunnels share one), so that others find room
 HEADERS = {
     "Content-Security-Policy": (
         "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob:; connect-src 'self'; "
@@ -54,7 +54,7 @@ Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
 
 
 class _Lane:
-    """Passwords that are checked one by one, in a thread; those of who is signed in do not wait behind strangers'."""
+    """A queue and a thread that check passwords one by one; signed-in users have their own lane."""
 
     def __init__(self, name: str) -> None:
         self.checker = ThreadPoolExecutor(1, name)
@@ -90,7 +90,7 @@ class FrontDoor:
         self._turnstile = Turnstile()
         self._requests = OfUsers(lambda: Bucket(REQUESTS_PER_S, REQUESTS_BURST))
         self._listener: Listener | None = None
-        self._failures = Bucket(1.0, 1.0)  # tracebacks in the log
+        self._failures = Bucket(1.0, 1.0)  # limits tracebacks in the log
         self._seen_s: dict[Any, float] = {}
         self._spoke: set[Any] = set()
 
@@ -100,7 +100,7 @@ class FrontDoor:
         return _SPEAK_WITHIN_S
 
     def opened(self, port: int, listener: Listener) -> None:
-        """Take the port in use, which the exact origins and hosts name, and who knows whose connections there are."""
+        """Note the port, part of the allowed origins and hosts, and the listener that knows the connections' users."""
         self._listener = listener
         self._origins = self._config.origins(port)
         self._hosts = frozenset(origin.partition("://")[2] for origin in self._origins)
@@ -138,7 +138,7 @@ class FrontDoor:
             response = web.Response(status=403, text="This origin may not do that.\n")
         elif set(request.headers.getall("Content-Encoding", [])) - {"identity"}:
             self._note(request, "an encoded body")
-            response = web.Response(status=415, text="A body is taken as it is only.\n")
+            response = web.Response(status=415, text="Encoded bodies are not accepted.\n")
         else:
             try:
                 response = await handler(request)
@@ -148,7 +148,7 @@ class FrontDoor:
                 response = web.Response(status=error.status, text=f"{error.status}: {error.reason}\n")
                 if "Allow" in error.headers:
                     response.headers["Allow"] = error.headers["Allow"]
-            except Exception as error:  # a mistake of ours, which a stranger may repeat as often as they like
+            except Exception as error:  # a fault of the server, which a stranger may repeat at will
                 if self._failures.take(time.monotonic()):
                     _LOG.exception("a request failed")
                 self._note(request, f"500 {type(error).__name__}")
@@ -162,7 +162,7 @@ class FrontDoor:
             self._listener.know(request.transport.get_protocol(), user)
 
     async def _in_turn(self, request: web.Request) -> None:
-        """Wait until a request may be handled; that of a signed-in user to stop waits for nothing."""
+        """Wait until a request may be handled; a signed-in user's request to stop never waits."""
         session = self.session(request)
         self._know(request, session.name if session is not None else NOBODY)
         if session is None:
@@ -170,10 +170,10 @@ class FrontDoor:
         elif request.path != "/stop":
             while not (rate := self._requests[session.name]).take(time.monotonic()):
                 await asyncio.sleep(rate.wait_s())
-            await asyncio.sleep(0)  # requests in a row on one connection would be handled in one go
+            await asyncio.sleep(0)  # else the requests in a row on one connection are handled in one turn of the loop
 
     def user_of(self, cookie: str) -> str:
-        """Return whose session a cookie is, NOBODY for none."""
+        """Return the user of a session's cookie, NOBODY for none."""
         session = self._sign_in.session(cookie, time.monotonic())
         return session.name if session is not None else NOBODY
 
@@ -259,7 +259,7 @@ class FrontDoor:
             return response
         session = self._sign_in.session(secret, time.monotonic())
         assert session is not None
-        self._know(request, session.name)  # else it may be closed, to make room for a stranger, before the answer
+        self._know(request, session.name)  # else a stranger's connection may replace it before the answer
         self._record_done(session, "sign-in")
         welcome.set_cookie(
             _cookie(request), secret, httponly=True, samesite="Strict", secure=self._config.tls, path="/"
@@ -294,13 +294,13 @@ class FrontDoor:
         self._record(done | ({"reason": why} if why else {}))
 
     async def _user(self, lane: _Lane, name: str, password: str, remote: str) -> User | None:
-        """Return whose name and password these are, None for nobody's; ``wait`` while too many are looked at."""
+        """Return the user with this name and password, None for none; ``wait`` if too many passwords wait."""
         self._sign_in.check_wait(name, remote, time.monotonic())
         if lane.guesses.count((name, remote)) >= _MAX_OF_ONE or len(lane.guesses) >= _MAX_GUESSES:
             raise Refusal("wait", seconds=1.0)
         lane.guesses.append((name, remote))
         try:
-            async with lane.one_by_one:  # when a guess before this one was wrong, those like it have to wait now
+            async with lane.one_by_one:  # a wrong guess before this one makes it wait
                 self._sign_in.check_wait(name, remote, time.monotonic())
                 loop = asyncio.get_running_loop()
                 user, problem = await loop.run_in_executor(lane.checker, self._check, name, password)
@@ -350,9 +350,9 @@ class FrontDoor:
 
 
 async def _form(request: web.Request, *fields: str) -> tuple[str, ...]:
-    """Return the fields of a form as a browser sends it; anything else of a body is refused."""
+    """Return the fields of a form as a browser sends it; refuse any other body."""
     if request.content_type != "application/x-www-form-urlencoded":
-        raise web.HTTPBadRequest(reason="no form that can be read")
+        raise web.HTTPBadRequest(reason="not a readable form")
     try:
         body = await asyncio.wait_for(request.read(), _BODY_TIMEOUT_S)
         text = body.decode(request.charset or "utf-8")
@@ -361,8 +361,8 @@ async def _form(request: web.Request, *fields: str) -> tuple[str, ...]:
         raise web.HTTPRequestTimeout from None
     except web.HTTPException:
         raise
-    except Exception as error:  # by whatever of a body: aiohttp and its parsers raise many kinds, and others each year
-        raise web.HTTPBadRequest(reason="no form that can be read") from error
+    except Exception as error:  # aiohttp and its parsers raise many kinds, and new ones with each version
+        raise web.HTTPBadRequest(reason="not a readable form") from error
     return tuple(form.get(field, "") for field in fields)
 
 

@@ -1,8 +1,8 @@
-"""Accepts connections and passes on what they send, in pieces, so that none of them holds up the event loop.
+"""Accept connections and pass their bytes on in pieces, so that no connection delays the event loop.
 
-What a signed-in user sends goes on at once, within a rate that no page reaches. What others send waits in a row, of
-which a few pieces go on in each turn of the loop. The number of connections is bounded: a new one takes the place of
-the one that matters least. All methods run in the event loop's thread.
+Bytes of a signed-in user are passed on at once, up to a rate above that of any page. Bytes of other clients wait in a
+queue, and each turn of the loop passes a few pieces on. The number of connections is limited: a new one replaces the
+least important one. All methods run in the event loop's thread.
 """
 
 from __future__ import annotations
@@ -22,21 +22,21 @@ from scope_ui_bridge.core.admission.rates import Bucket, OfUsers
 
 _LOG = logging.getLogger(__name__)
 MAX_CONNECTIONS = 256
-"""Maximum number of open connections of a server for few pages; for many it is four for each page.
+"""Maximum number of open connections, or four for each page if that is more.
 
-The process needs other descriptors besides, and 1024 is a usual limit.
+The process needs other descriptors as well, and 1024 is a usual limit.
 """
 MAX_OF_USER = 32
-"""Connections of one user: its sockets, and those that its browsers keep open."""
+"""Maximum number of connections of one user: WebSockets, and those that the user's browsers keep open."""
 _BACKLOG = 128
 _PIECE = 1024
 _PIECES = 4
-"""Pieces from those who are not signed in, in one turn: each may hold some 25 requests."""
+"""Maximum number of pieces from clients without a sign-in in one turn: each may contain some 25 requests."""
 _READ = 16 * 1024
 _USER_BYTES_PER_S, _USER_BURST = 64e3, 256e3
 _STRANGER_BYTES_PER_S, _STRANGER_BURST = 8e3, 16e3
 _LATER_S = 0.005
-_AT_ONCE = 16  # strangers that make room together: to find them takes a while
+_AT_ONCE = 16  # connections without a sign-in that are closed together: the search takes a while
 _NO_DESCRIPTORS_S = 0.1
 _HEAD = 8 * 1024
 _COOKIE = re.compile(rb"icu_session_\d+=([\w-]{8,128})")
@@ -44,12 +44,12 @@ NOBODY = ""
 
 
 class Gate(asyncio.Protocol):
-    """One connection: between its transport and the handler of the web server.
+    """One connection, between its transport and the handler of the web server.
 
     Attributes
     ----------
     user
-        The user's name once a request with a session has come, else NOBODY.
+        The user's name after the first request with a session, before that NOBODY.
     """
 
     def __init__(self, listener: Listener, remote: str) -> None:
@@ -65,7 +65,7 @@ class Gate(asyncio.Protocol):
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         self.transport = cast(asyncio.Transport, transport)
-        if hasattr(transport, "max_size"):  # of asyncio's own: else it reads 256 KiB at once
+        if hasattr(transport, "max_size"):  # asyncio's transports read 256 KiB at once by default
             transport.max_size = _READ
         self._handler.connection_made(transport)
 
@@ -84,7 +84,7 @@ class Gate(asyncio.Protocol):
         self._handler.eof_received()
 
     def data_received(self, data: bytes) -> None:
-        """Pass on what comes, now or in its turn."""
+        """Pass the received bytes on, now or in their turn."""
         self._waiting += data
         if self.user == NOBODY:  # a browser sends the cookies of all robots on this host
             cookies = (found[1].decode() for found in _COOKIE.finditer(bytes(self._waiting[:_HEAD])))
@@ -96,7 +96,7 @@ class Gate(asyncio.Protocol):
             self._listener.queue(self)
 
     def pass_on(self, size: int = _PIECE) -> bool:
-        """Give the handler a piece of what waits; return whether it took one."""
+        """Pass a piece of the waiting bytes to the handler; return whether it accepted one."""
         handler = self._handler
         if not self._waiting or getattr(handler, "_reading_paused", False) or getattr(handler, "_buffer_paused", False):
             return False
@@ -113,11 +113,11 @@ class Gate(asyncio.Protocol):
 
     @property
     def waits(self) -> bool:
-        """Whether something waits to be passed on."""
+        """Whether bytes wait to be passed on."""
         return bool(self._waiting)
 
     def end(self) -> None:
-        """Close the connection at once, whether it is open or still becomes so."""
+        """Close the connection at once, whether it is open or still opening."""
         if self.transport is not None:
             self.transport.abort()
         elif self.opening is not None:
@@ -142,15 +142,15 @@ class Listener:
     Parameters
     ----------
     make_handler
-        Makes the web server's protocol for a connection.
+        Creates the web server's protocol for a connection.
     whose
         Returns the user of a session's cookie, NOBODY for none.
     spares
-        Tells of a user whether that one has or had control: such connections go last.
+        Returns whether a user is or was the operator: these connections are closed last.
     limit
         Maximum number of open connections.
     told
-        Is called with the address of a connection that had to make room.
+        Called with the user or the address of a connection that was closed for a new one.
     """
 
     def __init__(
@@ -176,9 +176,9 @@ class Listener:
         self._handshake_s: float | None = None
 
     async def open(self, host: str, port: int, context: ssl.SSLContext | None, handshake_s: float) -> int:
-        """Listen; return the port. Raises OSError when the address cannot be used."""
+        """Listen; return the port. Raises OSError if the address cannot be used."""
         self._ssl, self._handshake_s = context, handshake_s if context else None
-        # asyncio finds and binds the addresses; it would accept a hundred connections in one turn, and any number.
+        # asyncio only binds the addresses: it would accept a hundred connections in one turn, without a limit.
         found = await self._loop.create_server(asyncio.Protocol, host, port, start_serving=False)
         self._sockets = [bound.dup() for bound in found.sockets]
         found.close()
@@ -189,7 +189,7 @@ class Listener:
         return int(self._sockets[0].getsockname()[1])
 
     def close(self) -> None:
-        """Listen no more."""
+        """Stop listening."""
         for listening in self._sockets:
             self._loop.remove_reader(listening)
             listening.close()
@@ -229,15 +229,15 @@ class Listener:
             await self._loop.connect_accepted_socket(
                 lambda: gate, accepted, ssl=self._ssl, ssl_handshake_timeout=self._handshake_s
             )
-        except (OSError, ssl.SSLError, asyncio.CancelledError):  # it was no TLS, took too long, or had to make room
+        except (OSError, ssl.SSLError, asyncio.CancelledError):  # no TLS, too slow, or closed for a new one
             accepted.close()
         finally:
             if gate.transport is None:
                 self.forget(gate)
 
     def know(self, gate: Any, user: str) -> None:
-        """Note whose connection it is; the user's oldest one ends when there are too many."""
-        if not isinstance(gate, Gate):  # the connection has gone, or is a test's own
+        """Note a connection's user; close the user's oldest connection if there are too many."""
+        if not isinstance(gate, Gate):  # the connection has ended, or a test made it
             return
         if user == gate.user:
             return
@@ -253,9 +253,10 @@ class Listener:
         self._gates.pop(gate, None)
 
     def _worth(self) -> Callable[[Gate], tuple[bool, bool, int]]:
-        """Return what sorts connections by how much they matter: least who is not signed in, of the address with most.
+        """Return the sort key of connections, least important first.
 
-        Among those that matter alike the oldest comes first, as they are in their order.
+        First those without a sign-in, then those of users who never were the operator; within a group those of the
+        address or user with most connections, the oldest first.
         """
         counts = Counter((gate.user, gate.user or gate.remote) for gate in self._gates)
 
@@ -271,7 +272,7 @@ class Listener:
         gate.end()
 
     def queue(self, gate: Gate) -> None:
-        """Let a connection wait for its turn."""
+        """Add a connection to the queue."""
         if gate not in self._row:
             self._row.append(gate)
         if not self._pumping:
@@ -295,7 +296,7 @@ class Listener:
 
 
 class Turnstile:
-    """Lets requests of who is not signed in pass one by one, with room for everything else between them."""
+    """Passes requests without a sign-in one by one, with time for all other work between them."""
 
     PERIOD_S = 0.002
 
@@ -305,7 +306,7 @@ class Turnstile:
         self._runs = False
 
     async def wait(self) -> None:
-        """Wait for one's turn."""
+        """Wait for the caller's turn."""
         loop = asyncio.get_running_loop()
         if not self._runs and loop.time() >= self._free_s:
             self._free_s = loop.time() + self.PERIOD_S

@@ -99,8 +99,8 @@ class AuditFile:
     def append(self, record: dict[str, Any]) -> None:
         """Write one record and wait for the disk.
 
-        One that could not be written (OSError) leaves nothing behind; the next one that can comes after a line that
-        says how many were lost, and between which times.
+        A record that cannot be written (OSError) leaves no bytes in the file. The next successful write is preceded by
+        a line with the number of lost records and the times of the first and the last.
         """
         try:
             if self._gap is not None:
@@ -160,12 +160,12 @@ class AuditFile:
         _sync_folder(self._path)
 
     def close(self) -> None:
-        """Close the file, after a last try to note what was lost."""
+        """Close the file, after a last try to note lost records."""
         if self._gap is not None and not self._file.closed:
             try:
                 self._write(self._gap.record())
             except OSError as error:
-                _LOG.error("%d records were lost, and %s cannot say so: %s", self._gap.count, self._path, error)
+                _LOG.error("records lost and not noted in %s: %d: %s", self._path, self._gap.count, error)
         self._file.close()
 
 

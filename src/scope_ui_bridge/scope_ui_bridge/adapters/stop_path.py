@@ -1,7 +1,7 @@
-"""The way of a STOP out of the server: everything that stops goes through here, and nothing is waited for.
+"""The path of a STOP out of the server: every stop takes it, and it never waits.
 
-It goes out before it is written down, and needs no place, no rate and no free encoder. Requests of `/stop` are not read
-beyond their head.
+A stop is sent before it is recorded, and needs no connection slot, no rate and no free encoder. The server reads only
+the head of requests to `/stop`.
 """
 
 from __future__ import annotations
@@ -21,16 +21,16 @@ _MAX_PRESS, _MAX_DIGITS = 64, 15
 
 
 class StopPath:
-    """Sends stops, and takes the page's second way to one.
+    """Sends stops, and handles the page's request to `/stop`.
 
     Parameters
     ----------
     graph
-        The way to the graph.
+        Connection to the graph.
     write_later
-        Takes the record, without waiting for the disk.
+        Records the stop without waiting for the disk.
     answered
-        Is called, in any thread, with the log entry's number and what the driver has answered.
+        Called in any thread with the log entry's number and the driver's answer.
     """
 
     def __init__(
@@ -44,13 +44,13 @@ class StopPath:
         self._answered = answered
 
     def send(self, stop: StopNow) -> None:
-        """Stop by every way there is, then hand the record over."""
+        """Stop the machine by every path, then record it."""
         self._graph.stop(functools.partial(self._answered, stop.entry))
         self._write_later(stop.record)
 
     @staticmethod
     def effects_of(request: web.Request, session: Session, desk: Desk, now: Now) -> list[Effect]:
-        """Return what a request of a signed-in browser to stop leads to."""
+        """Return the effects of a signed-in browser's request to stop."""
         press, sent = request.query.get("press", "")[:_MAX_PRESS], request.query.get("sent", "")
         if sent.isascii() and sent.isdigit() and len(sent) <= _MAX_DIGITS:
             desk.stop_overtakes(request.query.get("page", ""), session.name, int(sent))

@@ -37,7 +37,7 @@ class TurnedAway:
         self._last: dict[tuple[str, str], tuple[float, int]] = {}
 
     def note(self, who: str, what: str, why: str) -> None:
-        """Note that ``who`` was refused ``what``; all three may be texts of a stranger."""
+        """Note that ``what`` of ``who`` was refused, and why; all three may contain a stranger's text."""
         who, what, why = plain(who, MAX_NAME), plain(what, MAX_NAME), plain(why)
         now_s = time.monotonic()
         key = (who, what)
@@ -53,7 +53,7 @@ class TurnedAway:
         self._write(record | ({"more": more} if more else {}))
 
     def logger(self) -> logging.Logger:
-        """Return a logger for the HTTP library; it notes requests that are no HTTP as refused, not as our failures."""
+        """Return a logger for the HTTP library that notes invalid HTTP as a refusal, not as a failure of the server."""
         made = logging.Logger("scope_ui_bridge.http")
         made.parent = _LOG
         made.addFilter(self._is_failure)

@@ -70,7 +70,7 @@ _START_TIMEOUT_S = 10.0
 _IDLE_CONNECTION_S = 15.0
 _GOES_ON = (WSMsgType.TEXT, WSMsgType.BINARY, WSMsgType.PING, WSMsgType.PONG)
 _HELD_QUALITY = 95
-_MAX_WISH = 512  # characters of what a page sends on the connection of the pictures
+_MAX_WISH = 512  # characters of a message on the video connection
 
 
 class WebServer:
@@ -202,7 +202,7 @@ class WebServer:
             if self._config.tls:
                 context = self._certified()
             listener = Listener(runner.server, self.door.user_of, self._desk.had_control, self._most, self._made_room)
-            # The sweep sees no connection before it is encrypted, and asyncio would wait for a minute.
+            # The sweep does not see a connection before it is encrypted; asyncio's own limit is a minute.
             self.port = await listener.open(self._config.host, self._config.port, context, self.door.speak_within_s)
             self.door.opened(self.port, listener)
             self._started.set()
@@ -279,7 +279,7 @@ class WebServer:
         if not self._opened[session.name].take(time.monotonic()):
             self.door.turned_away.note(session.name, "connection", f"more than {OPENED_PER_S:g} a second")
             raise web.HTTPTooManyRequests(reason="too many connections")
-        # Pings come through to us: answered unseen, they would put off the look at who says nothing.
+        # No autoping: the library would answer pings unseen, and a client could delay the check for silence with them.
         socket = web.WebSocketResponse(
             max_msg_size=_HARD_LIMIT, compress=False, heartbeat=5.0, timeout=1.0, autoping=False
         )
@@ -304,7 +304,7 @@ class WebServer:
         socket, session = await self._open(request)
         viewer = ""
         sender: asyncio.Task[None] | None = None
-        gone, flooding = "stopped_link_lost", False  # without a word, as when a tunnel ends
+        gone, flooding = "stopped_link_lost", False  # without a close frame, as when a tunnel ends
         pings = Bucket(PINGS_PER_S, PINGS_BURST)
         try:
             try:
@@ -340,7 +340,7 @@ class WebServer:
                 self._carry_out(effects)
                 if any(isinstance(effect, End) for effect in effects):
                     gone, flooding = "stopped_flooding", True
-                    self.door.turned_away.note(session.name, "connection", "went on after rate_limited: ended")
+                    self.door.turned_away.note(session.name, "connection", "ended: kept sending after rate_limited")
                     break
         finally:
             self._places.leave(socket)

@@ -1,4 +1,4 @@
-"""What both kinds of WebSocket connections do: take the next message, send in order, and end."""
+"""Functions of both kinds of WebSocket connections: receive the next message, send in order, and close."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ async def close(socket: web.WebSocketResponse, code: int = WSCloseCode.GOING_AWA
 
 
 async def throw_out(request: web.Request, socket: web.WebSocketResponse) -> web.WebSocketResponse:
-    """End a connection whose other side sends too much, whether or not it reads the reason."""
+    """End a connection whose client sends too much, whether or not the client reads the reason."""
     with contextlib.suppress(asyncio.TimeoutError, ConnectionError):
         await asyncio.wait_for(close(socket, WSCloseCode.POLICY_VIOLATION, b"too many messages"), _FAREWELL_S)
     if request.transport is not None:
@@ -32,7 +32,7 @@ async def throw_out(request: web.Request, socket: web.WebSocketResponse) -> web.
 
 
 async def receive(socket: web.WebSocketResponse, pings: Bucket) -> WSMessage | None:
-    """Return what comes next, or None when nothing has come for a second; what comes then is not lost.
+    """Return the next message, None after a second without one; a later message is not lost.
 
     Pings and pongs beyond their rate end the connection.
     """
@@ -48,13 +48,13 @@ async def receive(socket: web.WebSocketResponse, pings: Bucket) -> WSMessage | N
 
 
 async def send_all(socket: web.WebSocketResponse, outbox: asyncio.Queue[str]) -> None:
-    """Send what is put into a queue until the connection is gone."""
+    """Send the texts of a queue until the connection ends."""
     with contextlib.suppress(ConnectionError):
         while True:
             await socket.send_str(await outbox.get())
 
 
 async def until_gone(work: Awaitable[None]) -> None:
-    """Do something with a connection that may end meanwhile."""
+    """Await work on a connection; return if the connection ends meanwhile."""
     with contextlib.suppress(ConnectionError):
         await work

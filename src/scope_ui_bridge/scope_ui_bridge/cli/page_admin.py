@@ -1,6 +1,6 @@
-"""What belongs to the operator page and is done in the terminal: passwords, a certificate, checking the audit file.
+"""Manage the operator page from the terminal: passwords, a certificate, checks of the audit file.
 
-Exit codes: 0 done, 1 not done or not intact (with the reason), 2 wrong usage.
+Exit codes: 0 done, 1 failed or not intact (with the reason), 2 wrong usage.
 """
 
 from __future__ import annotations

@@ -28,12 +28,12 @@ def chain_line(number: int, previous: str, record: dict[str, Any]) -> tuple[str,
 
 
 GAP = "records lost"
-"""The command of the line that stands where records could not be written, as on a full disk."""
+"""Command of the line in place of records that could not be written, for example on a full disk."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Gap:
-    """Records that could not be written: how many, and the times of the first and the last, wall clock in s."""
+    """Records that could not be written: their number, and the times of the first and the last, wall clock in s."""
 
     count: int
     from_s: float
@@ -53,7 +53,7 @@ def gaps(lines: Iterable[str]) -> list[str]:
     """Return a sentence for each gap that the lines of an intact file note."""
     entries = (json.loads(line) for line in lines if f'"command":"{GAP}"' in line)
     found = ((entry["lost"], _shown(entry["from_s"]), _shown(entry["until_s"])) for entry in entries)
-    return [f"{count} records were lost between {begin} and {end}" for count, begin, end in found]
+    return [f"records lost between {begin} and {end}: {count}" for count, begin, end in found]
 
 
 def _shown(wall_s: float) -> str:

@@ -77,7 +77,7 @@ class BridgeConfig(Config):
         minimum=0.05,
         maximum=5.0,
         unit="s",
-        guards="a person must not act on what was seen long ago",
+        guards="a person acts on an old picture",
     )
     frame_stale_s: float = setting(1.0, "A picture older than this is greyed out", minimum=0.1, maximum=10.0, unit="s")
     min_confidence: float = setting(
@@ -85,7 +85,7 @@ class BridgeConfig(Config):
         "No actuation below this confidence of the recognition",
         minimum=0.0,
         maximum=1.0,
-        guards="a panel that is hardly recognised may be another one, or elsewhere",
+        guards="a panel that is hardly recognised may be another one or elsewhere",
     )
     recognition_max_age_s: float = setting(
         2.0,
@@ -101,7 +101,7 @@ class BridgeConfig(Config):
         minimum=0.0001,
         maximum=0.02,
         unit="m",
-        guards="a selection must mean the place that was seen",
+        guards="a selection may mean another position than the one seen",
     )
     keepalive_fresh_s: float = setting(
         0.4,
@@ -110,7 +110,7 @@ class BridgeConfig(Config):
         maximum=1.0,
         unit="s",
         clock=WALL_TIME,
-        guards="without the heartbeat the driver stops: the operator has gone",
+        guards="the driver stops late after the operator has left",
     )
     silence_stop_s: float = setting(
         0.6,
@@ -119,7 +119,7 @@ class BridgeConfig(Config):
         maximum=2.0,
         unit="s",
         clock=WALL_TIME,
-        guards="a page that is silent cannot stop the machine",
+        guards="the machine moves on although its page cannot stop it",
     )
     picture_stop_s: float = setting(
         0.6,
@@ -127,7 +127,7 @@ class BridgeConfig(Config):
         minimum=0.1,
         maximum=2.0,
         unit="s",
-        guards="what is not seen must not move",
+        guards="the machine moves unseen",
     )
     jog_hold_s: float = setting(
         0.3,
@@ -144,7 +144,7 @@ class BridgeConfig(Config):
         minimum=0.0001,
         maximum=0.05,
         unit="m",
-        guards="the machine moves so far after the arrow has been let go",
+        guards="the machine moves this far after the arrow has been let go",
     )
     lease_timeout_s: float = setting(
         5.0,
@@ -153,7 +153,7 @@ class BridgeConfig(Config):
         maximum=30.0,
         unit="s",
         clock=WALL_TIME,
-        guards="nobody else can take control meanwhile",
+        guards="no other person can take control meanwhile",
     )
     answer_timeout_s: float = setting(
         3.0, "A command without an answer for this time has failed", minimum=0.2, maximum=120.0, unit="s"

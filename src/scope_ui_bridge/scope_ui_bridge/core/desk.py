@@ -76,7 +76,7 @@ _SETS_OUT_S = 1.0
 """A way is told before the state of what moves along it, at most so long: then no driver takes it any more."""
 _MAX_LINES = 40  # in one tick
 _KEPT_LINES = 100  # for engineers who come later
-_REMEMBERED = 32  # users who had control
+_REMEMBERED = 32  # users who have or have had control
 _FOR_ENGINEERS = ("accept_settings",)
 _MOVE = ("home", "calibrate")
 
@@ -182,7 +182,7 @@ class Desk:
         }
 
     def had_control(self, name: str) -> bool:
-        """Tell whether a user has or had control: places are kept for these."""
+        """Return whether a user has or has had control; connection slots are reserved for these users."""
         return name in self._had_control
 
     def _limits(self) -> dict[str, float]:
@@ -204,9 +204,9 @@ class Desk:
         return effects
 
     def message(self, viewer: str, text: str | bytes, now: Now) -> list[Effect]:
-        """Take one text of a page and return what is to be done; anything bad is answered, nothing moves.
+        """Process one text of a page and return its effects; an invalid text is answered and moves nothing.
 
-        Size and rate are limited before the text is read, but for what may be a stop.
+        Size and rate are limited before the text is read, except for a possible stop.
         """
         seq: int | None = None
         selected, page = self._selection, self._viewers[viewer]
@@ -540,7 +540,7 @@ class Desk:
         """Note the state of driver, controller, calibration or sequencer; empty when there is none."""
         self.machine.set_state(part, text)
         state, reason = self.machine.state(part)
-        if part == "controller" and state == "stopped":  # at rest it stops for what ended no goal
+        if part == "controller" and state == "stopped":  # at rest no goal's answer names the cause
             self._causes.aborted(reason, self._now_s)
         if part == "sequencer":
             self.sequence.set_state(text)

@@ -51,7 +51,7 @@ class Broadcast:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class End:
-    """End the connection of a viewer, which has been told why it is refused and goes on."""
+    """End the connection of a viewer that was told to slow down and did not."""
 
     viewer: str
 

@@ -15,7 +15,7 @@ from scope_ui_bridge.core.refusal import Refusal
 _MOST_AHEAD_S = 0.1
 _POSITION_LIFE_S = 1.0
 _EXTENDED_M = 0.0005
-"""Extension from which on the stylus may press something."""
+"""Minimum extension at which the stylus may press something."""
 _MOVING = {
     "driver": {"moving", "homing"},
     "controller": {"moving", "looking", "touching"},
@@ -151,7 +151,7 @@ class MachineView:
                 raise Refusal("not_at_rest", state=state, reason=reason)
 
     def unrest(self) -> str:
-        """Return why settings that guard people must stay as they are, empty at rest with the stylus up."""
+        """Return why safety settings must not change now, empty at rest with the stylus up."""
         for part, names in _MOVING.items():
             if self.state(part)[0] in names:
                 return f"the {part} is {self._states[part]!r}"

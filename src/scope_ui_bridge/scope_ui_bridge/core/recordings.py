@@ -1,4 +1,4 @@
-"""Which recordings run, whoever has started them, and for how long."""
+"""Running recordings and their duration, whichever program started them."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Sign-in: a one-shot token or a password, sessions behind a cookie. Secrets stay hashed.
 
-A token has 256 bits: guessing it is hopeless, so it is compared at once, and wrong ones make nobody wait. Passwords are
-slowed down, for each account and address, so that whoever guesses at one keeps nobody else out.
+A token has 256 bits and cannot be guessed, so it is compared at once and a wrong one causes no waiting time. Wrong
+passwords cause one for that account and address only, so guesses at one account do not keep other users out.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from scope_ui_bridge.core.refusal import Refusal
 _MAX_FAILURES = 1024
 _MAX_SESSIONS = 256
 MAX_OF_USER = 8
-"""Sessions of one user: when another one begins, the user's oldest ends."""
+"""Maximum number of sessions of one user; a new one beyond it ends the user's oldest."""
 _SIGN_INS_PER_S, _SIGN_INS_BURST = 0.2, 10.0
-"""Sign-ins of one account by its password: each takes a tenth of a second of a processor."""
+"""Maximum rate and burst of sign-ins to one account by password; each takes 0.1 s of a processor."""
 AGAIN = "renewal"
-"""In place of an address, for who is signed in already: foreign guesses from the same address do not count there."""
+"""Address of a signed-in user who signs in again, so that other people's guesses from the same address do not count."""
 _FIRST_WAIT_S, _LONGEST_WAIT_S = 0.5, 10.0
 
 
@@ -61,7 +61,7 @@ class SignIn:
     Attributes
     ----------
     spares
-        Tells of a user whether that one has or had control: such sessions go last.
+        Returns whether a user is or was the operator: these sessions are ended last.
     """
 
     def __init__(
@@ -97,10 +97,10 @@ class SignIn:
         self._token = b""
 
     def check_wait(self, account: str, remote: str, now_s: float) -> None:
-        """Refuse (``wait``) before a password is looked at, which takes its time.
+        """Refuse (``wait``) before the slow check of a password.
 
-        That is while guesses at this account from this address have to wait after failures, or while the account has
-        been signed in to too often.
+        The reason is a waiting time after wrong passwords for this account from this address, or too many sign-ins to
+        the account.
         """
         rate = self._rates.get(account) if remote != AGAIN else None
         if rate is not None and rate.take(now_s, 0.0) and rate.wait_s() > 0:
@@ -149,7 +149,7 @@ class SignIn:
         self._pushed_out.append((self._sessions.pop(key), why))
 
     def _most_dispensable(self) -> bytes:
-        """Return the oldest session of the user who has most, of those who never had control while there are some."""
+        """Return the oldest session of the user with most sessions, if possible of one who never had control."""
         counts = Counter(session.name for session in self._sessions.values())
         newest = next(reversed(self._sessions))
         others = ((key, session.name) for key, session in self._sessions.items() if key != newest)

@@ -15,12 +15,12 @@ _TELL_RATE_EVERY_S = 1.0
 SHORT = 2048
 """Maximum size of a message of a page without control, in characters: only orders are longer."""
 FLOODING = "flooding"
-"""The refusal that ends a page's connection: it has gone on after it was told to slow down."""
+"""Refusal that ends a page's connection because it kept sending after it was told to slow down."""
 
 
 @dataclass(slots=True)
 class Viewer:
-    """A page of the user ``name``, whose sign-in ends at ``signed_in_until_s``; ``user`` is for all of that user's."""
+    """A page of the user ``name``, whose sign-in ends at ``signed_in_until_s``; the user's pages share ``user``."""
 
     name: str
     role: Role
@@ -39,17 +39,17 @@ class Viewer:
             raise Refusal("role_needed", role=role.value, found=self.role.value)
 
     def may_stop(self, text: str | bytes, now_s: float) -> bool:
-        """Whether a text that nobody has read yet may be a stop, which is read whatever else this page has sent.
+        """Return whether an unparsed text may be a stop, which is read even if this page sends too much.
 
-        There are few of them: a page that says it again within half a second means the same stop.
+        Their rate is limited: a repeated stop within half a second is the same stop.
         """
         named = b'"stop"' in text if isinstance(text, bytes) else '"stop"' in text
         return named and len(text) <= wire.MAX_STOP and self._stops.take(now_s)
 
     def limit(self, size: int, longest: int, now_s: float) -> None:
-        """Refuse a message before it is read: by its size, by this page's rate, and by the user's.
+        """Refuse a message before it is read, by its size, by this page's rate, and by the user's rate.
 
-        ``rate_limited`` is dropped; a page that goes on regardless is ``flooding``.
+        ``rate_limited`` messages are dropped; a page that still keeps sending is ``flooding``.
         """
         within = self._messages.take(now_s) and self.user.messages.take(now_s)
         if within and size > longest:
@@ -59,7 +59,7 @@ class Viewer:
         raise Refusal("rate_limited" if self._dropped.take(now_s) else FLOODING, limit=rates.MESSAGES_PER_S)
 
     def admit(self, message: wire.Message, boot_id: str) -> None:
-        """Refuse what comes for another run of the server (``old_boot``), or again (``replayed``)."""
+        """Refuse a message for another run of the server (``old_boot``), or a repeated one (``replayed``)."""
         if message.boot != boot_id:
             raise Refusal("old_boot")
         if message.seq <= self._last_seq:

@@ -23,10 +23,10 @@ MAX_BYTES = 32 * 1024
 MAX_STOP = 512
 """Maximum size of a stop, which is read even on a connection that sends too much."""
 MAX_DEPTH = 8
-"""Maximum number of open brackets: the rows of a lesson need three; those in texts count as well."""
+"""Maximum number of open brackets, including those in texts; the rows of a lesson need three."""
 MAX_TEXT = 64
 _MAX_INTEGER = 2**53
-_SEQ_WITHIN = 300  # the page writes it behind the type
+_SEQ_WITHIN = 300  # the page writes it after the type
 _SEQ = re.compile(r'"seq": ?([0-9]{1,15})[,}]')
 
 

@@ -114,7 +114,7 @@ _LAYER_COLUMNS = {CORNERS: ("u", "v"), EDGES: ("u", "v", "line")}
 _SHOWN_PERIOD_S = 0.2
 _MAX_PATH = 200
 _MAX_VALUE = 200
-"""Characters of a changed parameter's name and value that are shown."""
+"""Maximum number of characters shown of a changed parameter's name and value."""
 SILENT_S = 5.0
 """Seconds without a report from which on a node counts as late; nodes report every second."""
 _RECORDERS = ("bag_recorder", "rosbag2_recorder")
@@ -419,7 +419,7 @@ class BridgeNode(GraphNode):
             self._mail.each(self._desk.said, line)
 
     def _parameters_changed(self, message: ParameterEvent) -> None:
-        # All robots of the domain write to one topic.
+        # All robots of the domain share this topic.
         if not message.node.startswith(self.get_namespace()):
             return
         for changed in message.changed_parameters:
@@ -485,7 +485,7 @@ class BridgeNode(GraphNode):
         return int(self.get_clock().now().nanoseconds)
 
     def stop(self, answered: Callable[[bool, str], None]) -> None:
-        stopped = send_stop(self._guard, "stop requested")  # past the middleware, and first
+        stopped = send_stop(self._guard, "stop requested")  # first, and without the middleware
         self._stop_request.publish(Empty())
         if self._stop_service.service_is_ready():
             asked = self._stop_service.call_async(Trigger.Request())

@@ -1,4 +1,4 @@
-"""Shows the graph in Foxglove, beside the operator page: read only, on this machine only, and only when it is started.
+"""Show the graph in Foxglove, read only and on this machine only, while this program runs.
 
 It has no services, no parameters and no client publishing, so nothing can be sent into the graph. The server of
 foxglove-sdk takes any origin, though: while it runs, any web page open in a browser on this machine can read

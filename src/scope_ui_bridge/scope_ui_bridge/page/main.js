@@ -157,7 +157,7 @@ function showFacts({ facts }) {
   showCounts(counts);
 }
 
-/** Which programs move the machine: whose trajectories and whose heartbeats the driver takes. */
+/** Programs whose trajectories and heartbeats the driver accepts. */
 function movedBy() {
   const { trajectories_from: program, heartbeats_from: operator } = counts ?? {};
   return program ? t("moved_by", { program, operator: operator || "–" }) : "";

@@ -1,4 +1,4 @@
-// Which recordings run, whoever has started them, and for how long: in the head for everybody, in words beside its buttons.
+// Running recordings and their duration, whichever program started them: in the head for everyone, as text next to the buttons.
 
 import { desk } from "./desk.js";
 import { find, put, say } from "./dom.js";

@@ -33,7 +33,7 @@ export function named({ state, reason }) {
   return state === "calibrated" && reason.includes("; drift: ") ? "drifted" : state;
 }
 
-/** Show a part's state; `more` is what its title says besides. */
+/** Show a part's state; `more` is added to its title. */
 export function stateChip(id, { state: found, reason: told }, more = "") {
   const [state, reason] = [named({ state: found, reason: told }), said(told)];
   const text = state ? t(`state_${state}`, { reason }) : t("unknown");

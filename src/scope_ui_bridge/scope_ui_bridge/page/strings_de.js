@@ -171,7 +171,7 @@ export const DE = {
   stopped_heartbeat: "der Herzschlag des Bedieners blieb aus: Seite, Brücke oder Verbindung antwortete nicht",
   stopped_after: "– {seconds} s lang nichts",
   stopped_page_gone: "die Seite des Bedieners wurde geschlossen oder neu geladen",
-  stopped_flooding: "die Seite des Bedieners hat viel zu viele Nachrichten gesandt, und ihre Verbindung wurde beendet",
+  stopped_flooding: "die Seite des Bedieners hat viel zu viele Nachrichten gesendet; ihre Verbindung wurde getrennt",
   stopped_signed_out: "die Anmeldung des Bedieners ist beendet",
   stopped_released: "die Bedienung wurde während einer Bewegung abgegeben",
 
@@ -359,7 +359,7 @@ export const DE = {
   action_long: "Lange drücken",
   action_drag: "Ziehen",
   action_click: "Rasten",
-  moved_by: "bewegt von {program}, Lebenszeichen von {operator}",
+  moved_by: "gesteuert von {program}, Lebenszeichen von {operator}",
   action_parameter: "Parameter geändert:",
   action_set: "Einstellen auf",
   seen_title: "Auf der Front zu sehen",

@@ -171,7 +171,7 @@ export const EN = {
   stopped_heartbeat: "the operator’s heartbeat was lost: page, bridge or link did not respond",
   stopped_after: "– nothing for {seconds} s",
   stopped_page_gone: "the operator’s page was closed or reloaded",
-  stopped_flooding: "the operator’s page sent far too many messages, and its connection was ended",
+  stopped_flooding: "the operator’s page sent far too many messages, so its connection was closed",
   stopped_signed_out: "the operator’s sign-in has ended",
   stopped_released: "control was released while something moved",
 

@@ -1,4 +1,4 @@
-"""Two sources of one topic stop controller and driver, which say whose they are; a heartbeat is as old as its stamp."""
+"""Two sources of one topic stop controller and driver, which name both; a heartbeat's age is that of its stamp."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def test_no_motion_is_planned_by_a_pose_that_two_programs_publish() -> None:
     assert bench.paths == []
 
 
-def test_heartbeat_of_1970_is_none() -> None:
+def test_heartbeat_of_1970_does_not_count() -> None:
     bench = Bench()
     bench.talking -= {"heartbeat"}
     bench.start()

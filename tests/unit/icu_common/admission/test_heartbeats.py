@@ -1,4 +1,4 @@
-"""Programs of this project send heartbeats side by side; a stranger is alone, or it is one too many."""
+"""Programs of this project send heartbeats side by side; a stranger must be the only sender."""
 
 from __future__ import annotations
 

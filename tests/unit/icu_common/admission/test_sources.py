@@ -1,4 +1,4 @@
-"""Which sources of a topic count as programs: successors do not, twins and strangers do."""
+"""Sources of a topic that count as a second program: successors do not, twins and strangers do."""
 
 from __future__ import annotations
 
@@ -111,7 +111,7 @@ def test_texts() -> None:
 
 
 def test_process_of_a_participant() -> None:
-    """As Fast DDS writes it: vendor, host, the number's lower half, a random number, the participant's number."""
+    """Fast DDS writes vendor, host, lower half of the process number, a random number, the participant's number."""
     processes = ParticipantProcesses()
 
     def participant(number: int, host: bytes = b"\x78\xfd") -> bytes:

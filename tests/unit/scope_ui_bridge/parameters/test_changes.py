@@ -1,4 +1,4 @@
-"""A changed parameter is in the command log of every page and in the audit file, and a flood of them is counted."""
+"""The command log of every page and the audit file show changed parameters, and count the rest of a flood."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""The node's side of the guard: finds or starts it, asks it, and passes on what it says.
+"""The node's side of the guard: finds or starts the guard, sends it commands, and passes on its events.
 
-While there is no guard, a machine without a port answers in its place: it refuses what moves, and says why.
+Without a guard, a machine without a port answers in its place: it rejects every motion and gives the reason.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from gantry_driver.adapters.guard.places import guard_path, peer_process, sample_threads
+from gantry_driver.adapters.wake_pipe import WakePipe
 from gantry_driver.core.guard.commands import COMMANDS
 from gantry_driver.core.guard.messages import (
     FrameError,
@@ -36,20 +37,19 @@ from icu_common.adapters.real_time import steady_s
 from icu_common.core.results import GoalResult, Outcome
 
 BEAT_S = 0.02
-"""Interval of the signs of life: five of them are within the shortest silence that stops the machine by default."""
+"""Interval of the signs of life: a fifth of the default silence that stops the machine."""
 ASK_S = 2.0
 """Seconds to wait for the guard's answer to a question."""
 HUNG_S, LATE_S = 2.0, 10.0
-"""Seconds without a sign of life of the guard, after which it is killed and started again: without an excuse, and with
-the one that it waits for the processor."""
+"""Seconds without a sign of life after which the guard is killed and restarted: if it could run, and if it waits for
+the processor."""
 RETRY_S, LAST_RETRY_S = 0.02, 0.5
 START_S = 5.0
-"""Seconds in which a guard that was started must listen."""
+"""Maximum seconds from the start of a guard until it listens."""
 WAY_OUT_S = 8.0
-"""Seconds after ``hold_timeout_s`` in which a guard that is closed has lifted the stylus and ended."""
+"""Maximum seconds after ``hold_timeout_s`` for a closed guard to lift the stylus and end."""
 GUARD_ENDED = "the guard has ended"
 NO_ANSWER = "the guard does not answer"
-_SIGNALS = {int(number): number.name for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
 
 
 class GuardLink:
@@ -58,16 +58,16 @@ class GuardLink:
     Parameters
     ----------
     config
-        Of the driver; its port names the guard.
+        The driver's configuration; its port identifies the guard.
     on_events
-        Called in the thread of this link, or before :meth:`start` in the caller's, with what has happened, in order.
+        Called with the machine's events in order, in the thread of this link (before :meth:`start`: in the caller's).
     stop_path
-        Where the guard takes stops that pass the graph by.
+        Path of the socket on which the guard receives stops that bypass the graph.
     time_s
-        The machine's time, 0 while it is not known; None for the steady clock, which the guard has itself.
+        Returns the machine's time, 0 while it is unknown; None for the steady clock, which the guard reads itself.
     on_turn
-        Called in order with ``on_events``: how many of the :meth:`step` calls the guard has dealt with, and how many
-        bytes it has read and written.
+        Called in order with ``on_events``: the numbers of :meth:`step` calls that the guard has processed, and of bytes
+        that it has read and written.
     """
 
     def __init__(
@@ -83,7 +83,7 @@ class GuardLink:
         self._stop_path, self._time_s = stop_path, time_s
         self._machine = Machine(config, active=False)
         self._lock = threading.RLock()
-        """Of the machine without a port."""
+        """The machine without a port."""
         self._sending = threading.Lock()
         self._socket: socket.socket | None = None
         self._answered = threading.Condition()
@@ -94,13 +94,11 @@ class GuardLink:
         self._rivals: dict[str, str] = {}
         self._down = False
         self._steps = 0
-        """Steps that the guard has not dealt with."""
+        """Number of steps that the guard has not processed yet."""
         self._started: subprocess.Popen[bytes] | None = None
         self._started_at = -START_S
         self._closing = self._closed = False
-        self._wake_read, self._wake_write = os.pipe()
-        os.set_blocking(self._wake_read, False)
-        os.set_blocking(self._wake_write, False)
+        self._wake_pipe = WakePipe()
         self._thread = threading.Thread(target=self._run, name="guard-link", daemon=True)
         self._say(self._machine.take_events())
 
@@ -112,16 +110,16 @@ class GuardLink:
 
     @property
     def alive(self) -> bool:
-        """Whether the thread that hears the guard runs."""
+        """Whether the thread that reads from the guard runs."""
         return self._thread.is_alive()
 
     @property
     def wakeup_fd(self) -> int:
-        """For ``signal.set_wakeup_fd``: SIGINT, SIGTERM and SIGHUP then stop the machine at once."""
-        return self._wake_write
+        """Descriptor for ``signal.set_wakeup_fd``: SIGINT, SIGTERM and SIGHUP then stop the machine at once."""
+        return self._wake_pipe.write_fd
 
     def ask(self, name: str, **values: Any) -> Any:
-        """Return what a command of ``core.guard.commands`` answers; a refusal is a text."""
+        """Return the answer to a command of ``core.guard.commands``; a refusal is a text."""
         with self._lock:
             if self._socket is None or name in ("enable", "activate", "configure"):
                 value = COMMANDS[name](self._machine, steady_s(), values)
@@ -132,18 +130,18 @@ class GuardLink:
         return self._ask_guard(name, values)
 
     def tell(self, name: str, **values: Any) -> None:
-        """Give a command whose answer does not matter."""
+        """Send a command without waiting for an answer."""
         self._send({"do": name, **values})
 
     def rivals(self, topic: str, text: str) -> None:
-        """Say which programs publish a topic that only one may, empty for one alone; each guard is told again."""
+        """Report the programs that publish a topic for one source (empty: only one); each new guard gets it too."""
         self._rivals[topic] = text
         if text:
             self.stop(text)
         self.ask("rivals", topic=topic, text=text)
 
     def run(self, goal_id: str, names: list[str], points: list[Waypoint], *, age_s: float, distrust: str = "") -> None:
-        """Start a trajectory, unless ``distrust`` says why its sender may not; the answers are events."""
+        """Start a trajectory, unless ``distrust`` gives a reason against its sender; the answers are events."""
         values = {"goal_id": goal_id, "names": names, "points": waypoint_values(points), "age_s": age_s}
         values["distrust"] = distrust
         try:
@@ -154,11 +152,11 @@ class GuardLink:
             self._say([Answered(result=_result(goal_id, text, Outcome.REJECTED, str(error)))])
 
     def stop(self, reason: str) -> None:
-        """Stop the machine: the guard writes a hold past all queues."""
+        """Stop the machine: the guard writes a hold ahead of all queues."""
         self._send({"do": "stop", "reason": reason})
 
     def step(self, now_s: float) -> bool:
-        """Pass a new time on; return whether the guard will count it."""
+        """Pass a new time to the guard; return whether the guard will count it."""
         with self._sending:
             if self._socket is None:
                 return False
@@ -167,30 +165,26 @@ class GuardLink:
         return True
 
     def close(self, reason: str) -> None:
-        """Let the guard bring the machine to rest with the stylus up, close the port, and end."""
+        """Make the guard bring the machine to rest with the stylus up, close the port, and end."""
         if self._closed:
             return
         self._closed = True
         self._send({"do": "close", "reason": reason})
         self._closing = True
-        self._wake()
+        self._wake_pipe.wake()
         if self._thread.ident is not None:
             within_s = self._config.hold_timeout_s + WAY_OUT_S
             self._thread.join(within_s)
             if self.alive:
-                text = (
-                    f"closed {within_s:g} s after the stop: what the machine does is not known, the stylus may be down"
-                )
+                text = f"closed {within_s:g} s after the stop: the machine's state is unknown, the stylus may be down"
                 self._say([Note(level="error", text=text)])
         self._drop()
         self._count(self._steps, 0, 0)
         if self._started is not None:
             with contextlib.suppress(subprocess.TimeoutExpired):
                 self._started.wait(ASK_S)
-        write, self._wake_write = self._wake_write, -1
         if not self.alive:
-            os.close(write)
-            os.close(self._wake_read)
+            self._wake_pipe.close()
 
     # --- the thread --------------------------------------------------------------------------------------------------
 
@@ -207,10 +201,10 @@ class GuardLink:
             self._wait(retry_s)
 
     def _serve(self) -> str:
-        """Connect, and serve the connection until it ends; return why it has."""
+        """Connect, and serve the connection until it ends; return the reason for its end."""
         connection = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         try:
-            connection.settimeout(2.0 * LATE_S)  # a guard that hangs is killed before that
+            connection.settimeout(2.0 * LATE_S)  # a guard that hangs is killed sooner
             try:
                 connection.connect(bytes(guard_path(self._config.port)))
             except (FileNotFoundError, ConnectionRefusedError):
@@ -244,15 +238,15 @@ class GuardLink:
         watch = SilenceWatch(HUNG_S, steady_s(), LATE_S)
         poller = select.poll()
         poller.register(connection, select.POLLIN)
-        poller.register(self._wake_read, select.POLLIN)
+        poller.register(self._wake_pipe.read_fd, select.POLLIN)
         while True:
             now = steady_s()
             if not self._closing and now >= beat_at:
                 beat_at = now + BEAT_S
                 self._beat()
             ready = dict(poller.poll(1000.0 * max(0.0, beat_at - now) if not self._closing else 100.0))
-            if self._wake_read in ready:
-                self._woken()
+            if self._wake_pipe.read_fd in ready:
+                self._stop_by_signals()
             if connection.fileno() in ready:
                 data = _received(connection)
                 if not data:
@@ -264,10 +258,10 @@ class GuardLink:
             elif watch.look(steady_s(), sample_threads(guard) if watch.wants_sample else None) and not self._closing:
                 with contextlib.suppress(OSError):
                     os.kill(guard, signal.SIGKILL)
-                return "the guard hangs, it is started again"
+                return "the guard hangs and is restarted"
 
     def _on_message(self, message: dict[str, Any]) -> str | None:
-        """Deal with a message; return why the connection ends, None where it goes on."""
+        """Process a message; return the reason to end the connection, None to keep it."""
         if "events" in message:
             self._down = bool(message["down"])
             if events := [event_of(values) for values in message["events"]]:
@@ -294,7 +288,7 @@ class GuardLink:
                 self._goal = None if event.result.outcome is not Outcome.REJECTED else self._goal
 
     def _lost(self, reason: str) -> None:
-        """Say that there is no guard; what was under way is aborted."""
+        """Report that there is no guard, and abort the goal under way."""
         events: list[Event] = []
         steps = self._steps
         if goal := self._goal:
@@ -314,7 +308,7 @@ class GuardLink:
             self._answered.notify_all()
 
     def _start_guard(self) -> None:
-        """Start a guard, unless one is on its way."""
+        """Start a guard, unless one is starting."""
         if self._started is not None and self._started.poll() is None and steady_s() - self._started_at < START_S:
             return
         self._started_at = steady_s()
@@ -322,8 +316,8 @@ class GuardLink:
         command = [sys.executable, "-m", "gantry_driver.cli.gantry_guard", "--socket", str(path)]
         environment = {**os.environ, "PYTHONPATH": os.pathsep.join(part for part in sys.path if part)}
         with path.with_name(f"{path.name}.log").open("wb") as log:
-            # A session of its own: a terminal's Ctrl-C ends the node, which closes the guard in order. No pipe of this
-            # process stays open in it, so that nobody waits for the output of a node that has ended.
+            # A session of its own: a terminal's Ctrl-C ends the node, which closes the guard in order. The guard keeps
+            # no pipe of this process open: a reader of the node's output sees its end when the node ends.
             self._started = subprocess.Popen(
                 command,
                 env=environment,
@@ -355,17 +349,17 @@ class GuardLink:
                 return
             try:
                 connection.sendall(data)
-            except OSError:  # also half a frame that the guard did not take in time
+            except OSError:  # also after half a frame, if the guard does not read the rest in time
                 with contextlib.suppress(OSError):
                     connection.shutdown(socket.SHUT_RDWR)
 
     def _beat(self) -> None:
-        """Send a sign of life, unless the guard reads nothing: whether it hangs is judged by what it sends."""
+        """Send a sign of life, unless the guard does not read: only what it sends shows whether it hangs."""
         data = frame({"do": "beat"})
         if not self._sending.acquire(blocking=False):
-            return  # something else is being sent, which is a sign of life as well
+            return  # another message is being sent, which is a sign of life as well
         try:
-            # Python's own send waits for as long as the socket's time-out, although its descriptor blocks nobody.
+            # Python's own send would wait for the socket's time-out, although the descriptor does not block.
             if self._socket is not None and (count := os.write(self._socket.fileno(), data)) < len(data):
                 self._socket.sendall(data[count:])
         except OSError:
@@ -387,21 +381,17 @@ class GuardLink:
         with self._sending:
             self._socket = None
 
-    def _wake(self) -> None:
-        with contextlib.suppress(BlockingIOError, OSError):
-            os.write(self._wake_write, b"\0")
-
-    def _woken(self) -> None:
-        for number in set(os.read(self._wake_read, 4096)) & _SIGNALS.keys():
-            self.stop(_SIGNALS[number])
+    def _stop_by_signals(self) -> None:
+        for name in self._wake_pipe.drain():
+            self.stop(name)
 
     def _wait(self, seconds: float) -> None:
-        if not self._closing and select.select([self._wake_read], [], [], seconds)[0]:
-            self._woken()
+        if not self._closing and select.select([self._wake_pipe.read_fd], [], [], seconds)[0]:
+            self._stop_by_signals()
 
 
 def _received(connection: socket.socket) -> bytes:
-    """Return what has come, nothing where the other side has gone; a killed one leaves what it has not read."""
+    """Return the received bytes, none at the end; a killed guard with unread bytes ends the connection by a reset."""
     try:
         return connection.recv(1024 * 1024)
     except ConnectionResetError:

@@ -1,4 +1,4 @@
-"""The guard's clock: the steady one, or the simulated time that the node passes on."""
+"""The guard's clock: the steady clock, or the simulated time that the node sends."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from icu_common.adapters.step_layout import BYTES_READ, BYTES_WRITTEN, LEDGER_VA
 
 
 class GuardClock:
-    """Goes by the node's time while a node says that it has another than the steady one.
+    """Follows the node's time if the node's clock is not the steady one.
 
-    Without a node, or with one that hangs, it goes on: by the time of the simulation's ledger, where there is one, else
-    by the steady clock. A stop must come to its end. It never goes back, and a successor finds it where it is.
+    Without a node, or while the node hangs, the clock advances by the time of the simulation's ledger if there is one,
+    else by the steady clock, so that a stop completes. It never goes back, also when the next node connects.
 
     Parameters
     ----------
@@ -30,7 +30,7 @@ class GuardClock:
         self._alone = False
 
     def __call__(self) -> float:
-        """Return the time in seconds; 0 while a simulation's is not known yet."""
+        """Return the time in seconds; 0 while simulated time is unknown."""
         if self._told_s is None:
             return steady_s()
         if not self._alone:
@@ -41,18 +41,18 @@ class GuardClock:
 
     @property
     def wants_turns(self) -> bool:
-        """Whether the link must look at the clock by itself, since no node passes steps on."""
+        """Whether the link must poll the clock because no node sends steps."""
         return self._alone and self._counts is not None
 
     def begin(self, now_s: float | None) -> None:
-        """Take a node's time: None where it is the steady one, 0 where it is not known yet."""
+        """Start with a node's time: None for the steady clock, 0 while the time is unknown."""
         before_s = 0.0 if self._told_s is None else self()
         self._alone, self._offset_s = False, None
         self._told_s = None if now_s is None else before_s
         self.tell(now_s or 0.0)
 
     def tell(self, now_s: float) -> None:
-        """Take the node's new time."""
+        """Set the node's new time."""
         if self._told_s is None or not now_s:
             return
         self.rejoin()
@@ -61,17 +61,17 @@ class GuardClock:
         self._told_s = max(self._told_s, now_s + self._offset_s)
 
     def leave(self) -> None:
-        """Go on without a node."""
+        """Continue without a node."""
         if self._told_s is not None and not self._alone:
             self._alone, self._since_s = True, steady_s()
 
     def rejoin(self) -> None:
-        """Go by the node's time again."""
+        """Follow the node's time again."""
         if self._alone:
             self._told_s, self._alone, self._offset_s = self(), False, None
 
     def count_alone(self, read: int, written: int) -> bool:
-        """Count a link's bytes in the ledger while there is no node to do it; return whether that is so."""
+        """Count a link's bytes in the ledger if there is no node to do it; return whether they were counted."""
         if self._alone and self._counts is not None:
             self._counts.finish(BYTES_READ, read)
             self._counts.finish(BYTES_WRITTEN, written)
@@ -79,7 +79,7 @@ class GuardClock:
 
 
 def counts_of_environment() -> StepCounts | None:
-    """Return the ledger that the environment names, None where it names none that can be opened."""
+    """Return the ledger that the environment names, None if there is none or it cannot be opened."""
     path = os.environ.get(LEDGER_VARIABLE, "")
     with contextlib.suppress(OSError):
         return StepCounts(Path(path)) if path else None

@@ -1,4 +1,4 @@
-"""Where the guard's sockets are, and what the kernel tells of a process's threads."""
+"""Paths of the guard's sockets, and the kernel's data on a process's threads."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from icu_common.adapters.direct_stop.line import guard_folder
 
 
 def guard_path(port: str) -> Path:
-    """Return the socket of the guard of a port; links to one device lead to one socket."""
+    """Return the path of a port's guard socket; all links to one device give the same path."""
     path = Path(port)
     name = port if "://" in port else path.resolve() if _is_device(path.resolve()) else path.absolute()
     return guard_folder() / hashlib.sha256(str(name).encode()).hexdigest()[:16]
 
 
 def _is_device(target: Path) -> bool:
-    """Whether links lead to a device that stays; a pseudo-terminal gets a new number each time."""
+    """Return whether a path is a permanent device; a pseudo-terminal gets a new number each time."""
     return Path("/dev") in target.parents and target.parent != Path("/dev/pts")
 
 

@@ -1,4 +1,4 @@
-"""The guard: owns the serial port, serves one node, and stops the machine when that node is gone or silent."""
+"""The guard: owns the serial port, serves one node, and stops the machine when that node has ended or is silent."""
 
 from __future__ import annotations
 
@@ -27,15 +27,15 @@ from icu_common.core.config import settings_of
 PULSE_S = 0.1
 """Interval of the guard's own signs of life."""
 LOOK_INTERVAL_S = 0.02
-"""Interval at which the node's silence is judged."""
+"""Interval of the checks of the node's silence."""
 LINGER_S = 10.0
-"""Seconds for which the guard keeps the port, and the state, for a successor of the node."""
+"""Seconds for which the guard keeps the port and the state for the next node."""
 KEPT_EVENTS = 64
-"""Answers and notes that wait for a successor."""
+"""Maximum number of answers and notes kept for the next node."""
 UNSENT_BYTES = 1024 * 1024
-"""Bytes that wait for a node that does not read; with more of them it is disconnected."""
+"""Maximum number of unsent bytes; a node that does not read is disconnected beyond it."""
 FLOOD_FRAMES, FLOOD_BYTES, FLOOD_S = 2000, 32 * 1024 * 1024, 0.5
-"""Frames and bytes within so many seconds that are a fault of the node."""
+"""Maximum numbers of frames and of bytes from a node, and the seconds in which they are counted."""
 IN_USE = "in use by another program, as while a driver runs"
 ENDED = "the driver's node has ended"
 FLOODS = "the driver's node sends too much"
@@ -47,11 +47,11 @@ class Guard:
     Parameters
     ----------
     listener
-        Where a node connects; it blocks nobody.
+        Non-blocking socket on which a node connects.
     wakeup_fd
-        Read end of a pipe in which a signal's number is written; any of them ends the guard.
+        Read end of a pipe that gets the numbers of signals; each signal ends the guard.
     stays
-        Whether the guard goes on when no node has come for a while, or the last one has ended.
+        Whether the guard keeps running while no node connects, and after the last one has ended.
     """
 
     def __init__(self, listener: socket.socket, wakeup_fd: int, *, stays: bool = False) -> None:
@@ -76,7 +76,7 @@ class Guard:
         self._pulse_at = 0.0
 
     def run(self) -> None:
-        """Serve until a node or a signal ends the guard, or no node has come for a while."""
+        """Serve until a node or a signal ends the guard, or no node connects for ``STAYS_S``."""
         try:
             while not self._ends:
                 poller = select.poll()
@@ -95,7 +95,7 @@ class Guard:
         return watched
 
     def _turn(self, ready: dict[int, int]) -> None:
-        if self._stops is not None and self._stops.fileno() in ready:  # first, whatever else waits
+        if self._stops is not None and self._stops.fileno() in ready:  # before everything else
             while (reason := received_stop(self._stops)) is not None:
                 if self._link is not None:
                     self._link.stop(reason)
@@ -156,8 +156,8 @@ class Guard:
                 if self._node is not node:
                     return
         except Exception as error:
-            # Whatever a node sends, it must not end the guard.
-            self._lose(f"the driver's node sent what cannot be read: {error!r}")
+            # No message of a node may end the guard.
+            self._lose(f"the driver's node sent an unreadable message: {error!r}")
 
     def _on_message(self, message: dict[str, Any]) -> None:
         name = message["do"]
@@ -176,7 +176,7 @@ class Guard:
             self._close(str(message["reason"]))
             self._ends = not self._stays
             if self._ends:
-                self._listener.close()  # a node that comes now finds no guard, and starts one
+                self._listener.close()  # a node that connects now finds no guard and starts one
             self._send(frame({"closed": True}))
         else:
             action = COMMANDS[name]
@@ -201,7 +201,7 @@ class Guard:
         link.call(lambda machine, now: machine.configure(config, now))
         link.call(lambda machine, now: machine.enable(message["enabled"], now))
         link.call(lambda machine, now: machine.activate(message["active"], now))
-        # Under the machine's lock, so that no older state follows.
+        # Under the machine's lock, so that no older state is sent after it.
         link.call(lambda machine, now: self._send(self._frame_of(kept + _snapshot(machine))))
 
     def _make_link(self, config: DriverConfig, message: dict[str, Any]) -> None:
@@ -231,7 +231,7 @@ class Guard:
         self._stops = open_stop_socket(self._stop_path)
 
     def _lose(self, reason: str) -> None:
-        """Disconnect the node; what moves or presses is stopped."""
+        """Disconnect the node; stop the machine if it moves or presses."""
         with self._lock:
             node, self._node = self._node, None
             if node is not None:
@@ -248,7 +248,7 @@ class Guard:
     def _look(self) -> None:
         now = steady_s()
         if self._link is not None and not self._link.alive:
-            self._ends = True  # the node starts another guard, which lifts first
+            self._ends = True  # the node then starts a new guard, which lifts first
         if self._clock.wants_turns and self._link is not None:
             self._link.wake()
             self._steps_counted = self._link.wakes  # no node waits for these
@@ -289,7 +289,7 @@ class Guard:
             self._send(frame({"turn": [steps, read, written]}))
 
     def _send(self, data: bytes) -> None:
-        """Send what the node can take now, and keep the rest; a node that does not read is disconnected."""
+        """Send as much as the socket accepts and keep the rest; a node that does not read is disconnected."""
         with self._lock:
             node = self._node
             if node is None:
@@ -319,7 +319,7 @@ class Guard:
 
 
 def _fixed(config: DriverConfig) -> list[object]:
-    """Return the values that cannot change while a link exists."""
+    """Return the configuration values that cannot change while a link exists."""
 
     def value(name: str) -> object:
         found: object = config
@@ -331,7 +331,7 @@ def _fixed(config: DriverConfig) -> list[object]:
 
 
 def _snapshot(machine: Machine) -> list[Event]:
-    """Return the events that tell a new node where the machine is."""
+    """Return the events that report the machine's state to a new node."""
     events: list[Event] = [StateChanged(text=machine.state_text)]
     if machine.reading_m is not None:
         events.append(Position(reading_m=machine.reading_m))

@@ -1,1 +1,1 @@
-"""What the guard process and the driver's node say to each other, and how the guard judges the node; pure."""
+"""Messages between the guard process and the driver's node, and the guard's judgement of the node; pure."""

@@ -1,4 +1,4 @@
-"""What the node may ask of the machine, by name: the same table serves the guard, and a node without a guard."""
+"""Commands of the node to the machine, by name; the guard and a node without a guard use the same table."""
 
 from __future__ import annotations
 
@@ -40,4 +40,4 @@ COMMANDS: dict[str, Callable[[Machine, float, Values], Any]] = {
     "activate": lambda machine, now, values: machine.activate(bool(values["on"]), now),
     "configure": lambda machine, now, values: machine.configure(config_of(values["config"]), now),
 }
-"""Name -> what it does with the machine at a time; the value that it returns is JSON."""
+"""Name -> function of the machine, the time and the values; it returns JSON values."""

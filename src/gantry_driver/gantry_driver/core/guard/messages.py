@@ -1,7 +1,7 @@
 """The frames between the driver's node and the guard: JSON objects of a bounded size.
 
-A frame is four bytes of length and that many bytes of JSON. The length is compared with its limit before a byte of the
-text is kept, so that no frame can hold up the guard for long.
+A frame is four bytes of length, followed by the JSON text. The reader compares the length with its limit before it
+keeps a byte of the text, so no frame can delay the guard for long.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ from gantry_driver.core.trajectory_gcode import Waypoint
 from icu_common.core.results import GoalResult, Outcome
 
 MAX_FRAME_BYTES = 4 * 1024 * 1024
-"""Bytes of the longest frame: a trajectory of 10,000 points, the most that ``max_points`` allows, has half as many."""
+"""Maximum size of a frame in bytes: twice that of 10,000 points, the largest trajectory that ``max_points`` allows."""
 _LENGTH = struct.Struct(">I")
 _EVENTS: dict[str, type[Event]] = {kind.__name__: kind for kind in (StateChanged, Position, Note, CloseRequested)}
 
 
 class FrameError(ValueError):
-    """The other side sent what is no frame; the connection cannot go on."""
+    """The other side sent an invalid frame; the connection must end."""
 
 
 def frame(message: Mapping[str, Any]) -> bytes:
@@ -33,33 +33,33 @@ def frame(message: Mapping[str, Any]) -> bytes:
     Raises
     ------
     FrameError
-        If it is too long.
+        If the message is too long.
     """
     data = json.dumps(message, separators=(",", ":")).encode()
     if len(data) > MAX_FRAME_BYTES:
-        raise FrameError(f"a frame of {len(data)} bytes (limit {MAX_FRAME_BYTES})")
+        raise FrameError(f"the frame has {len(data)} bytes (limit {MAX_FRAME_BYTES})")
     return _LENGTH.pack(len(data)) + data
 
 
 class FrameReader:
-    """Takes bytes as they come, and yields whole messages."""
+    """Collects received bytes and yields whole messages."""
 
     def __init__(self) -> None:
         self._data = bytearray()
 
     def feed(self, data: bytes) -> Iterator[dict[str, Any]]:
-        """Yield the messages that are complete.
+        """Yield the messages that these bytes complete.
 
         Raises
         ------
         FrameError
-            If a length exceeds the limit, or the bytes are no JSON object.
+            If a length exceeds the limit, or a text is not a JSON object.
         """
         self._data += data
         while len(self._data) >= _LENGTH.size:
             (length,) = _LENGTH.unpack_from(self._data)
             if length > MAX_FRAME_BYTES:
-                raise FrameError(f"a frame of {length} bytes (limit {MAX_FRAME_BYTES})")
+                raise FrameError(f"the frame has {length} bytes (limit {MAX_FRAME_BYTES})")
             end = _LENGTH.size + length
             if len(self._data) < end:
                 return
@@ -68,9 +68,9 @@ class FrameReader:
             try:
                 message = json.loads(text)
             except (ValueError, RecursionError) as error:
-                raise FrameError(f"a frame that is no JSON: {error}") from error
+                raise FrameError(f"the frame is not JSON: {error}") from error
             if not isinstance(message, dict):
-                raise FrameError("a frame that is no JSON object")
+                raise FrameError("the frame is not a JSON object")
             yield message
 
 
@@ -100,7 +100,7 @@ def config_values(config: DriverConfig) -> dict[str, Any]:
 
 
 def config_of(values: Mapping[str, Any]) -> DriverConfig:
-    """Return the configuration of :func:`config_values`; it validates itself."""
+    """Return the configuration of :func:`config_values`, validated."""
     made = _made(DriverConfig, values)
     assert isinstance(made, DriverConfig)
     return made

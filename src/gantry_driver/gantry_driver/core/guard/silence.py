@@ -1,8 +1,8 @@
-"""When a process counts as hung because it is silent; no I/O and no clock.
+"""Judge from its silence whether a process hangs; no I/O and no clock.
 
-The limit is short, and a busy computer must not reach it. So a process that could run, but waits for the processor or
-for a page of memory, is late and not hung: for that time, up to a bound, it has an excuse, also where it runs for a
-little in between. One that is stopped, that sleeps, or that runs without sending has none.
+The limit is short, and a busy computer must not exceed it. A process that waits for the processor or for a page of
+memory is late, not hung: this time is excused up to a bound, also if the process runs for a moment in between. A
+process that is stopped, sleeps, or runs without sending has no excuse.
 """
 
 from __future__ import annotations
@@ -10,38 +10,38 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 LATE_S = 0.5
-"""Silence in seconds that no excuse covers: less than the heartbeat of an operator may be old."""
+"""Seconds of silence that no excuse covers: less than the maximum age of the operator's heartbeat."""
 LOOK_S = 0.04
-"""Silence in seconds after which the threads of the process are looked at."""
+"""Seconds of silence after which the threads of the process are sampled."""
 TURN_S = 0.05
-"""Most of the time between two looks that counts: who looks may have been held up for longer."""
+"""Maximum seconds between two looks that count: the observer itself may have been delayed for longer."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ThreadSample:
-    """A thread: whether it could run, the processor time that it has had, and how long it has waited for more."""
+    """State of a thread: whether it can run, its processor time, and the time it waited for the processor."""
 
     runnable: bool
     cpu_ns: int
     waited_ns: int = 0
 
     def waited_s(self, before: ThreadSample, passed_s: float) -> float:
-        """Return the part of the time since ``before`` in which it waited; the kernel adds a wait up at its end."""
+        """Return the seconds since ``before`` in which it waited; the kernel adds a wait only when the wait ends."""
         waits_yet = self.runnable and self.cpu_ns == before.cpu_ns
         return passed_s if waits_yet else min(passed_s, (self.waited_ns - before.waited_ns) / 1e9)
 
 
 class SilenceWatch:
-    """Counts how long another process has been silent.
+    """Measures how long another process has been silent.
 
     Parameters
     ----------
     limit_s
-        Silence without an excuse, s.
+        Maximum silence without an excuse, s.
     now
         Wall time, s.
     late_s
-        Silence that no excuse covers, s.
+        Maximum silence with an excuse, s.
     """
 
     def __init__(self, limit_s: float, now: float, late_s: float = LATE_S) -> None:
@@ -73,7 +73,7 @@ class SilenceWatch:
         now
             Wall time, s.
         threads
-            Its threads by number; None where they were not looked at, empty where the process has ended.
+            Its threads by number; None if they were not sampled, empty if the process has ended.
         """
         passed = min(now - self._looked_at, TURN_S)
         self._looked_at = now

@@ -1,1 +1,1 @@
-"""What images prove where the driver's reports prove nothing."""
+"""Facts that images prove when the driver's reports prove nothing."""

@@ -1,4 +1,4 @@
-"""The stylus's height above the panel, by images alone: needs no calibration and no position of the machine."""
+"""The stylus's height above the panel from images alone, without a calibration or a machine position."""
 
 from __future__ import annotations
 
@@ -6,18 +6,18 @@ from collections import deque
 from dataclasses import dataclass, field
 
 NEEDED = 5
-"""Images that must agree."""
+"""Minimum number of images that must agree."""
 SPAN_NS = 1_000_000_000
-"""Time that they must span."""
+"""Minimum time that these images span."""
 SPREAD_M = 0.002
-"""Largest difference of their heights: a stylus that sinks, or a reflection that the tracker follows, changes more."""
+"""Maximum difference of their heights: a sinking stylus, or a reflection that the tracker follows, changes more."""
 OLDEST_NS = 3_000_000_000
-"""Age at which an image proves nothing about the present."""
+"""Age beyond which an image proves nothing about the present."""
 
 
 @dataclass(slots=True)
 class StylusHeight:
-    """Heights that successive images show.
+    """Heights from successive images.
 
     Examples
     --------
@@ -34,7 +34,7 @@ class StylusHeight:
     """Stamp in ns and height in m of each image."""
 
     def take(self, stamp_ns: int, height_m: float) -> None:
-        """Take what one image shows; a stamp that goes back means another clock, and nothing before it counts."""
+        """Add the height from one image; an older stamp means another clock and discards all heights before it."""
         if self.seen and stamp_ns < self.seen[-1][0]:
             self.seen.clear()
         self.seen.append((stamp_ns, height_m))
@@ -42,7 +42,7 @@ class StylusHeight:
             self.seen.popleft()
 
     def at_least_m(self, now_ns: int) -> float | None:
-        """Return the smallest height that enough images agree on, None while they do not."""
+        """Return the smallest height that enough images agree on, None if they do not."""
         young = [(stamp, height) for stamp, height in self.seen if now_ns - stamp <= OLDEST_NS]
         if len(young) < NEEDED or young[-1][0] - young[0][0] < SPAN_NS:
             return None

@@ -113,7 +113,7 @@ class BoardSettings(Connection):
         return found
 
     def _lift_left(self, now: float) -> bool:
-        """Begin to lift a stylus that was left down; return whether the board can be trusted to lift it."""
+        """Start to lift a stylus that was left down; return whether the board's settings allow it."""
         return False
 
     def _check_settings(self, now: float) -> None:

@@ -34,7 +34,7 @@ class Line:
     eeprom
         Whether it blocks the board's reception while it is executed.
     alone
-        Whether nothing else may be under way with it: ``$`` commands, EEPROM writes, and every line that a board would
+        Whether no other line may be under way with it: ``$`` commands, EEPROM writes, and every line that a board would
         still obey after a reset, such as a move, an order to the stylus, or a feed.
     """
 
@@ -86,7 +86,7 @@ class WasReset(Message):
     banner
         As received.
     expected
-        Whether the driver requested the reset, or a retry of it that a late board answers as well.
+        Whether the driver requested the reset, or retried a request that a late board answers as well.
     lost
         Lines sent and not answered: the board may have executed none, some or all of them.
     unsent

@@ -30,7 +30,7 @@ BEYOND_MM = 0.5
 FRAME_MM = 0.02
 """Largest difference between the frame and the reported one: a motor step, for lines end between two of them."""
 SEEN_S = 1.0
-"""Age at which a message that the stylus was seen off the panel counts no more."""
+"""Maximum age of a message that the stylus was seen off the panel."""
 QUEUED_LINES = 600
 """Of a goal, ahead of the board: more than the shortest lines that any receive buffer holds."""
 
@@ -51,12 +51,12 @@ class Proving(Stopping):
         """Return the bytes to write."""
         if self.phase is Phase.MOVING and self._goal is not None:
             self._queue_more(self._goal)
-        # Without an Ov: the board may know no overrides, and one that an operator has lowered stays.
+        # Not with an override below 100 %: an operator has set it, and it must stay.
         self.session.sets_feed_back = self.phase is Phase.MOVING and self._feed_percent == 100.0
         return super().output(now)
 
     def seen_clear(self, height_m: float, age_s: float) -> None:
-        """Take that images show the stylus off the panel; it counts where it rests and its position was lost."""
+        """Note that images show the stylus off the panel; this counts only at rest and without a position."""
         seen = self._stylus.seen_clear(self.config.stylus.kind)
         if seen is self._stylus or age_s > SEEN_S or self.homed or not self.at_rest:
             return
@@ -131,7 +131,7 @@ class Proving(Stopping):
             self._fault(MotionFault.MODES_DIFFER, text, now)
 
     def _confirms_again(self, line: Line, now: float) -> bool:
-        """Whether a refused line only orders modes or asks for them: the board has done nothing; it is sent again."""
+        """Return whether to resend a rejected line: it only sets or requests modes, so the board has done nothing."""
         goal = self._goal
         if goal is None or goal.confirming is None or self.phase is not Phase.MOVING or goal.tries >= CONFIRM_TRIES - 1:
             return False
@@ -156,7 +156,7 @@ class Proving(Stopping):
         goal = self._goal
         if goal is None or goal.watch is None or report.mpos_mm is None or self.phase is not Phase.MOVING:
             return False
-        raised = max(100.0, self._feed_percent) / 100.0  # max() keeps the first where the other is not a number
+        raised = max(100.0, self._feed_percent) / 100.0  # max() returns 100 if the other is NaN
         deviation = goal.watch.check(
             report.mpos_mm, (report.feed_mm_min or 0.0) / raised, now, self.session.report_asked_at
         )
@@ -272,7 +272,7 @@ class Proving(Stopping):
     def _set_overrides_back(self, feed: float, _rapid: float, spindle: float) -> None:
         """End what a pendant has raised: no touch is faster, and no servo elsewhere, than it is configured.
 
-        An operator may slow the machine down: a lower override stays.
+        A lower override stays: an operator may slow the machine down.
         """
         self._feed_percent = feed
         if self._goal is not None:

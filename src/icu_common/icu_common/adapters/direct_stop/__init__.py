@@ -1,1 +1,1 @@
-"""A stop that passes the graph by: a datagram from the page's server to the process that owns the port."""
+"""A stop that bypasses the graph: a datagram from the page's server to the process that owns the port."""

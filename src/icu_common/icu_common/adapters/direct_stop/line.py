@@ -1,7 +1,7 @@
-"""The socket on which the guard of a machine takes a stop, whatever the graph does.
+"""The socket on which a machine's guard receives stops, whatever the graph does.
 
-Its name follows from the ROS domain and the resolved name of the machine's topic ``stop_request``: a program that
-publishes there finds it without a parameter.
+Its name follows from the ROS domain and the resolved name of the machine's topic ``stop_request``, so a publisher of
+that topic finds the socket without a parameter.
 """
 
 from __future__ import annotations
@@ -15,37 +15,37 @@ import tempfile
 from pathlib import Path
 
 STOP_BYTES = 200
-"""Bytes of the longest reason."""
+"""Maximum size of a reason in bytes."""
 
 
 def guard_folder() -> Path:
-    """Return this user's folder for the guard's sockets, made if need be; no other user can enter it.
+    """Return this user's folder for the guard's sockets, created if necessary; no other user can enter it.
 
     Raises
     ------
     OSError
-        If it cannot be made, or is open to others.
+        If it cannot be created, or is open to other users.
     """
     folder = Path(os.environ.get("XDG_RUNTIME_DIR") or tempfile.gettempdir()) / f"icu_gantry_guard_{os.getuid()}"
     folder.mkdir(mode=0o700, exist_ok=True)
     found = folder.lstat()
     if found.st_uid != os.getuid() or not stat.S_ISDIR(found.st_mode) or found.st_mode & 0o077:
-        raise PermissionError(f"{folder} is open to other users, or is no folder")
+        raise PermissionError(f"{folder} is open to other users, or is not a folder")
     return folder
 
 
 def stop_path(domain: int, topic: str) -> Path:
-    """Return the socket of the machine that stops by a topic of a ROS domain."""
+    """Return the path of the stop socket of the machine with this ``stop_request`` topic in a ROS domain."""
     return guard_folder() / f"stop_{hashlib.sha256(f'{domain} {topic}'.encode()).hexdigest()[:16]}"
 
 
 def open_stop_socket(path: Path) -> socket.socket:
-    """Return a socket that takes stops and never blocks; one that a killed program has left is replaced.
+    """Return a non-blocking socket that receives stops; it replaces one that a killed program has left.
 
     Raises
     ------
     OSError
-        If there can be no socket.
+        If the socket cannot be created.
     """
     path.unlink(missing_ok=True)
     made = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
@@ -59,14 +59,14 @@ def open_stop_socket(path: Path) -> socket.socket:
 
 
 def received_stop(stops: socket.socket) -> str | None:
-    """Return the reason of the next stop that waits, None where there is none."""
+    """Return the reason of the next waiting stop, None if there is none."""
     with contextlib.suppress(BlockingIOError):
         return stops.recv(STOP_BYTES).decode("ascii", "replace")
     return None
 
 
 def send_stop(path: Path, reason: str) -> bool:
-    """Ask for a stop now; return whether a guard was there to take it. Never waits."""
+    """Request a stop; return whether a guard received it. Never waits."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sender, contextlib.suppress(OSError):
         sender.setblocking(False)
         sender.sendto(reason.encode("ascii", "replace")[:STOP_BYTES], bytes(path))

@@ -1,1 +1,1 @@
-"""Which programs may send what: the decisions, without ROS."""
+"""Rules for the programs that may send a message; without ROS."""

@@ -1,8 +1,8 @@
-"""Who sends the operator's heartbeat; pure, no clock.
+"""Sources of the operator's heartbeat; pure, no clock.
 
-The page and the command-line programs may send it side by side: a person presses from a terminal while the page is
-open. Their heartbeats name the sender in ``frame_id``, and a page that sends none, as no operator has control, does not
-count. Any other program is a stranger: it may send heartbeats, but no one else then.
+The page and the command-line programs may send heartbeats side by side: a person presses from a terminal while the
+page is open. Their heartbeats name the sender in ``frame_id``. A page on which no operator has control sends none and
+does not count. Any other program is a stranger and must be the only sender.
 """
 
 from __future__ import annotations
@@ -13,9 +13,9 @@ from collections.abc import Collection
 from icu_common.core.admission.sources import base_name, rivals_text
 
 PROGRAMS = "ui_bridge gantry_goal gantry_sequence gantry_prepare"
-"""Names of this project's nodes that send heartbeats, as the default of a parameter."""
+"""Names of this project's nodes that send heartbeats: the default of the parameter ``heartbeat_programs``."""
 HEARD_S = 1.0
-"""Seconds after its last heartbeat in which a program counts as sending."""
+"""Seconds after its last heartbeat for which a program counts as a sender."""
 
 
 class HeartbeatSources:
@@ -33,7 +33,7 @@ class HeartbeatSources:
         self._now_s = -math.inf
 
     def heard(self, sender: str, now_s: float) -> bool:
-        """Take a heartbeat; return whether its sender, one of the programs, has just begun to send."""
+        """Note a heartbeat; return whether its sender is one of the programs and has just started to send."""
         self._now_s = now_s
         if not self._is_own(sender):
             return False
@@ -42,11 +42,11 @@ class HeartbeatSources:
         return begins
 
     def senders(self, names: Collection[str]) -> list[str]:
-        """Return those of the topic's sources that send heartbeats, as far as that is known."""
+        """Return the topic's sources that are known to send heartbeats."""
         return [name for name in names if not self._is_own(name) or self._sends(name)]
 
     def judge(self, topic: str, names: Collection[str]) -> str:
-        """Return what is wrong with the sources: a stranger among others."""
+        """Return the fault of the sources, a stranger among others; empty if there is none."""
         senders = self.senders(names)
         return "" if all(self._is_own(name) for name in senders) else rivals_text(topic, senders)
 

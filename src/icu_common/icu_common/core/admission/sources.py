@@ -1,9 +1,9 @@
-"""Which programs publish a topic that only one may publish; pure, no clock.
+"""Programs that publish a topic for one source; pure, no clock.
 
-A program that was killed stays in the graph until its lease ends (10 s by the graph's profile). Its successor has the
-same name and another process, so both are in the graph for a while. They are not two programs: a source whose process
-has ended does not count. Of a process on another host this cannot be known; there, sources of one name count as one
-until the lease must have ended.
+A killed program stays in the graph until its lease ends (10 s by the graph's profile). Its successor has the same name
+and another process, so both are in the graph for a while. A source whose process has ended does not count, so they are
+one program. A process on another host is not visible; there, sources of one name count as one until the lease must
+have ended.
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass
 
 LEASE_S = 25.0
-"""Seconds after which a program that has ended is out of the graph: Fast DDS's default lease is 20 s."""
+"""Maximum seconds for which an ended program stays in the graph: Fast DDS's default lease is 20 s."""
 NAMED_WITHIN_S = 0.3
-"""Seconds within which the name of a new source becomes known; measured: up to 0.12 s."""
+"""Maximum seconds until the name of a new source is known; measured: up to 0.12 s."""
 UNNAMED = "a program without a name"
 _NUMBERS = {2: "two", 3: "three", 4: "four"}
 
@@ -36,11 +36,11 @@ class Found:
     Attributes
     ----------
     names
-        Full names of their nodes, ``UNNAMED`` for one whose name is not known.
+        Full names of their nodes, ``UNNAMED`` for an unknown name.
     unnamed
-        The name of one is about to be known.
+        Whether the name of a source is about to become known.
     undecided
-        It is worth looking again soon.
+        Whether another look soon may give another result.
     """
 
     names: tuple[str, ...] = ()
@@ -54,17 +54,17 @@ class TopicSources:
     Parameters
     ----------
     is_alive
-        Whether a process exists, None where that cannot be known, as on another host.
+        Returns whether a process exists; None if that cannot be known, for example on another host.
     """
 
     def __init__(self, is_alive: Callable[[bytes], bool | None]) -> None:
         self._is_alive = is_alive
         self._since_s: dict[bytes, float] = {}
         self._ended_s: dict[bytes, float] = {}
-        """When a process was first found to have ended."""
+        """Time at which each process was first found to have ended."""
 
     def judge(self, sources: Iterable[Source], now_s: float) -> Found:
-        """Return the living ones among the sources that the graph has."""
+        """Return the living sources among those of the graph."""
         sources = sorted(set(sources))
         self._since_s = {s.process: self._since_s.get(s.process, now_s) for s in sources}
         if len(sources) < 2:
@@ -76,8 +76,8 @@ class TopicSources:
         undecided = unnamed = False
         for source in sources:
             age_s = now_s - self._since_s[source.process]
-            # One that has ended and stays in the graph renews its lease: it lives where its process cannot be seen, as
-            # in a container.
+            # A source that stays in the graph renews its lease, so its process runs where it cannot be seen, for
+            # example in a container.
             ended = now_s - self._ended_s.get(source.process, -math.inf) <= LEASE_S
             successor = alive[source.process] is None and self._is_successor(source, sources, now_s)
             if ended or successor:
@@ -89,7 +89,7 @@ class TopicSources:
         return Found(names=names, unnamed=unnamed, undecided=undecided or unnamed)
 
     def _is_successor(self, source: Source, sources: Iterable[Source], now_s: float) -> bool:
-        """Whether an older source of the same name may have ended, and this one may be its successor."""
+        """Return whether this source may be the successor of an older one of the same name that may have ended."""
         order = self._since_s[source.process], source.process
         earlier = ((self._since_s[s.process], s.process) < order for s in sources if s.name == source.name)
         return any(earlier) and now_s - order[0] <= LEASE_S
@@ -106,7 +106,7 @@ def rivals_text(topic: str, names: Collection[str]) -> str:
 
 
 def distrust_text(names: Collection[str], allowed: str) -> str:
-    """Return why a message of a topic with these sources may be of a program that is not allowed, empty if it is not.
+    """Return why a message with these possible sources may come from a program that is not allowed, empty if it cannot.
 
     Parameters
     ----------

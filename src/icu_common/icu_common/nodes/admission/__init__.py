@@ -1,1 +1,1 @@
-"""What a node lets in from the graph: how large a message may be, and which programs may send it."""
+"""Messages that a node accepts from the graph: their maximum size and their allowed sources."""

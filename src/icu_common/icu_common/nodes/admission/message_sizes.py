@@ -1,14 +1,14 @@
-"""Maximum sizes of serialised messages, compared before a message is unpacked.
+"""Maximum sizes of serialised messages, checked before a message is unpacked.
 
-rclpy unpacks a message under the interpreter's lock: 3.5 MB of a trajectory stop every thread of a process for 0.6 s.
-A subscription of :class:`icu_common.nodes.graph_node.GraphNode` therefore takes the serialised bytes, compares their
-count with its limit, and unpacks only what is within it. A larger message is dropped, and the log names the topic.
+rclpy unpacks a message under the interpreter's lock: a trajectory of 3.5 MB stops every thread of a process for 0.6 s.
+A subscription of :class:`icu_common.nodes.graph_node.GraphNode` therefore receives the serialised bytes, compares
+their number with its limit, and drops a larger message; the log names the topic.
 
-The limit is that of the message's type here, unless ``create_subscription`` gets another one::
+The limit is that of the message's type in this module, unless ``create_subscription`` gets another one::
 
     node.create_subscription(JointTrajectory, "trajectory", on_message, COMMAND, max_bytes=400_000, too_large=refuse)
 
-``too_large`` is called with the size in bytes, in place of the callback, for a node that must answer or stop.
+``too_large`` is called with the size in bytes instead of the callback, for a node that must answer or stop.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ from visualization_msgs.msg import MarkerArray
 
 _KB, _MB = 1_000, 1_000_000
 UNLIMITED = 0
-"""Limit of types without strings and arrays: they unpack to the same few values, whatever arrives."""
+"""Limit of types without strings and arrays: they always unpack to the same few values."""
 OTHER_BYTES = 100 * _KB
-"""Limit of types that are not listed."""
+"""Limit of all other types."""
 MAX_BYTES: dict[Any, int] = {
     **dict.fromkeys((Bool, Clock, Duration, Empty, Float32, Time), UNLIMITED),
     **dict.fromkeys((Header, PointStamped, PoseStamped, PoseWithCovarianceStamped, TransformStamped), 2 * _KB),

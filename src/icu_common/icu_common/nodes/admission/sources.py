@@ -1,9 +1,9 @@
-"""Watches who publishes the topics that a node trusts.
+"""Watch the sources of the topics that a node trusts.
 
-The middleware reports each match of a subscription with a publisher (``matched`` of rclpy's subscription events); only
-then the graph is asked, so that a graph at rest costs nothing. While something is undecided, or a topic has two
-sources, a timer of the wall clock asks again. rclpy 7.1 does not give the sender of a message, so a topic is trusted as
-a whole.
+The middleware reports each match of a subscription with a publisher (``matched`` of rclpy's subscription events). Only
+then the watch queries the graph, so a graph at rest costs nothing. While a source is undecided, or a topic has two
+sources, a timer of the wall clock repeats the query. rclpy 7.1 does not report the sender of a message, so a topic is
+trusted or distrusted as a whole.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ from icu_common.core.admission.sources import Source, TopicSources, rivals_text
 
 LOOK_AGAIN_S = 0.1
 PREFIX_BYTES = 12
-"""Of an endpoint's identifier; they name its participant (DDS-RTPS 9.3.1)."""
+"""Bytes of an endpoint's identifier that identify its participant (DDS-RTPS 9.3.1)."""
 NO_NAME = "_NODE_NAME_UNKNOWN_"
-"""What rmw_fastrtps gives as the name of a node that it has not been told of yet."""
+"""Name that rmw_fastrtps returns for a node whose name it has not received yet."""
 Judge = Callable[[str, tuple[str, ...]], str]
-"""Gets a topic's name and its living sources, and returns what is wrong with them, empty: nothing."""
+"""Function of a topic's name and its living sources; it returns their fault, empty for none."""
 
 
 @dataclass(slots=True)
@@ -48,9 +48,9 @@ class SourceWatch:
     Parameters
     ----------
     node
-        Owns the subscriptions that are watched.
+        Owner of the watched subscriptions.
     on_change
-        Called with a topic's name as it was subscribed to, and what is wrong with its sources; empty: nothing any more.
+        Called with a topic's name as it was subscribed to, and the fault of its sources, empty when it has ended.
     """
 
     def __init__(self, node: Node, on_change: Callable[[str, str], None]) -> None:
@@ -77,17 +77,17 @@ class SourceWatch:
         return made
 
     def names(self, topic: str) -> tuple[str, ...]:
-        """Return the full names of a topic's sources, as they were found last."""
+        """Return the full names of a topic's sources at the last query."""
         return self._watched[topic].names
 
     def look(self, topic: str) -> str:
-        """Ask the graph for a topic's sources, and return what is wrong with them."""
+        """Query the graph for a topic's sources, and return their fault."""
         watched = self._watched.get(topic)
-        if watched is None:  # the event of a subscription that is being made
+        if watched is None:  # an event before create_subscription has returned
             return ""
         found = watched.sources.judge(self._sources_of(watched.subscription), time.monotonic())
         watched.names, watched.undecided = found.names, found.undecided
-        # A successor of a program that has just left must not be called a second one for want of its name.
+        # A successor whose name is not known yet must not count as a second program.
         text = watched.text if found.unnamed else watched.judge(watched.subscription.topic_name, found.names)
         if text != watched.text:
             watched.text = text
@@ -114,7 +114,7 @@ class SourceWatch:
         return [
             Source(name=_full_name(end), process=bytes(end.endpoint_gid[:PREFIX_BYTES]))
             for end in self._node.get_publishers_info_by_topic(topic)
-            if end.topic_type == kind  # no other is heard
+            if end.topic_type == kind  # other types are not received
         ]
 
 

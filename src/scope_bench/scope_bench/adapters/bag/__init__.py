@@ -1,1 +1,1 @@
-"""Files of bags: reading them as they are, and writing them in parts."""
+"""Bag files: readers of foreign bags, and writers of bags in several files."""

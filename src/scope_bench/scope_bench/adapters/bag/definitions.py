@@ -1,4 +1,4 @@
-"""Definitions of message types: those of Jazzy's common interfaces, and those that a bag brings along."""
+"""Definitions of message types: Jazzy's common interfaces, and the definitions in a bag."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _CHAR = re.compile(r"^\s*char\b", re.MULTILINE)
 
 
 def is_known(kind: str) -> bool:
-    """Return whether a bag can describe messages of this type without being given its definition."""
+    """Return whether a bag can describe this type without a given definition."""
     return kind in _known_types().types
 
 
@@ -24,16 +24,16 @@ def _known_types() -> Typestore:
 
 
 def written_hash(kind: str) -> str:
-    """Return the hash that a bag of this project has for a type of Jazzy, "" for any other type."""
+    """Return the hash that this project's bags contain for a type of Jazzy, "" for any other type."""
     return _known_types().hash_rihs01(kind) if is_known(kind) else ""
 
 
 def with_definitions(definitions: dict[str, str]) -> Typestore:
-    """Return the known types and those that are defined by texts."""
+    """Return the known types and those of the given definitions."""
     types = get_typestore(Stores.ROS2_JAZZY)
     for name, text in definitions.items():
         if name not in types.types and text:
-            # One that cannot be understood makes only its own topics unknown.
+            # An invalid definition makes only its own topics unknown.
             with contextlib.suppress(TypesysError):
                 new = get_types_from_msg(text, name)
                 types.register({key: value for key, value in new.items() if key not in types.types})
@@ -41,17 +41,17 @@ def with_definitions(definitions: dict[str, str]) -> Typestore:
 
 
 def describes(types: Typestore, kind: str) -> bool:
-    """Return whether a type is known with all that it consists of, as a bag's metadata needs it."""
+    """Return whether a type and all its parts are known, as a bag's metadata requires."""
     try:
         types.generate_msgdef(kind, ros_version=2)
         types.hash_rihs01(kind)
-    except (TypesysError, KeyError, RecursionError):  # a type may say that it contains itself
+    except (TypesysError, KeyError, RecursionError):  # a definition may contain itself
         return False
     return True
 
 
 def hash_of(kind: str, definition: MessageDefinition) -> str:
-    """Return the hash of a definition, "" if it is none or cannot be understood.
+    """Return the hash of a definition, "" if it is empty or invalid.
 
     rosbags reads ``char`` as ``uint8``, which has the same bytes and another hash.
     """

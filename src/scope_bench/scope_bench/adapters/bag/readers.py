@@ -1,7 +1,7 @@
-"""The readers of rosbags, which believe the files: metadata.yaml decides the QoS, and nothing else is filtered by it.
+"""Readers based on rosbags that trust the files: metadata.yaml decides the QoS and nothing else.
 
 rosbags joins a topic of metadata.yaml with one of a file only if both have the same QoS, and returns no message of a
-topic whose QoS a user has edited. It also believes metadata.yaml about times and counts.
+topic whose QoS a user has edited. It also trusts the times and counts of metadata.yaml.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
 
 
 def in_uri(path: Path) -> Path:
-    """Return a path as in the URI by which rosbags opens sqlite, where ``#``, ``?`` and ``%`` have a meaning."""
+    """Return a path escaped for the URI by which rosbags opens sqlite: ``#``, ``?`` and ``%`` have a meaning there."""
     return Path(quote(os.fsencode(path)))
 
 
 class UriSqlite3Reader(Sqlite3Reader):
-    """Opens files of any name."""
+    """Opens files with any name."""
 
     def __init__(self, path: Path) -> None:
         super().__init__(in_uri(path))
@@ -42,7 +42,7 @@ class JoinedDirectoryReader(DirectoryReader):
     STORAGE_PLUGINS = {**DirectoryReader.STORAGE_PLUGINS, "sqlite3": UriSqlite3Reader}  # noqa: RUF012
 
     def open(self) -> None:
-        """Open the files, and take counts and times from them."""
+        """Open the files, and read counts and times from them."""
         super().open()
         self.announced = {(c.topic, c.msgtype): c.msgcount for c in self.connections}
         stored = joined(c for storage in self.storages for c in storage.connections)
@@ -78,7 +78,7 @@ class JoinedDirectoryReader(DirectoryReader):
 
 
 def _described_by(metadata: Connection, file: Connection) -> Connection:
-    """Return a file's connection with the QoS of metadata.yaml, unless that has none, as before version 4."""
+    """Return a file's connection with the QoS of metadata.yaml, which has none before version 4."""
     assert isinstance(metadata.ext, ConnectionExtRosbag2) and isinstance(file.ext, ConnectionExtRosbag2)
     qos = metadata.ext.offered_qos_profiles or file.ext.offered_qos_profiles
     return file._replace(
@@ -89,7 +89,7 @@ def _described_by(metadata: Connection, file: Connection) -> Connection:
 
 
 def joined(connections: Iterable[Connection]) -> dict[tuple[str, str], Connection]:
-    """Return one connection for each topic and type, with the sum of messages and all QoS profiles."""
+    """Return one connection for each topic and type, with the total message count and all QoS profiles."""
     found: dict[tuple[str, str], Connection] = {}
     for new in connections:
         old = found.setdefault((new.topic, new.msgtype), new)

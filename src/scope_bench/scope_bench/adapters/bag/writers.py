@@ -1,4 +1,4 @@
-"""The writers of rosbags, with checksums, several files, and QoS profiles that change during a recording."""
+"""Writers based on rosbags, with checksums, several files, and QoS profiles that change during a recording."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ _SPAN = struct.Struct("<QQQQ")
 
 
 class ChecksumMcapWriter(McapWriter):
-    """Writes the checksum of each chunk, by which damage is seen later, and copies a message once.
+    """Writes the checksum of each chunk, so that readers detect damage, and copies a message once.
 
-    rosbags leaves the checksum out, and copies each message five times.
+    rosbags writes no checksum, and copies each message five times.
     """
 
     def write(self, connection: Connection, timestamp: int, data: bytes | memoryview) -> None:
@@ -52,7 +52,7 @@ class ChecksumMcapWriter(McapWriter):
     def close_chunk(self) -> None:
         """Write the chunk and its indexes."""
         chunk, size = self.chunk, self.chunk.bio.tell()
-        # A chunk without messages has times of 0, as the format wants it.
+        # The format requires times of 0 for a chunk without messages.
         first = chunk.message_start_time if chunk.msgs else 0
         last = chunk.message_end_time
         content = chunk.bio.getbuffer()
@@ -83,7 +83,7 @@ def _text(value: str) -> bytes:
 
 
 class UriSqlite3Writer(Sqlite3Writer):
-    """Makes files of any name."""
+    """Creates files with any name."""
 
     def __init__(self, path: Path, compression: CompressionMode) -> None:
         super().__init__(in_uri(path), compression)
@@ -91,7 +91,7 @@ class UriSqlite3Writer(Sqlite3Writer):
 
 
 class PartWriter(Writer):
-    """Writes a bag of one file, or of several that follow each other, numbered like those of ``ros2 bag``."""
+    """Writes a bag of one file, or of several numbered like those of ``ros2 bag``."""
 
     STORAGE_PLUGINS = {  # noqa: RUF012
         StoragePlugin.MCAP: ChecksumMcapWriter,
@@ -104,14 +104,14 @@ class PartWriter(Writer):
         self._span_ns = (self.min_timestamp, self.max_timestamp)
 
     def change_qos(self, connection: Connection, qos: Sequence[Qos]) -> Connection:
-        """Return the connection with other profiles, which metadata.yaml will have."""
+        """Return the connection with other profiles, which are written to metadata.yaml."""
         assert isinstance(connection.ext, ConnectionExtRosbag2)
         changed = connection._replace(ext=connection.ext._replace(offered_qos_profiles=list(qos)))
         self.connections[self.connections.index(connection)] = changed
         return changed
 
     def next_part(self) -> None:
-        """End the file, and begin the next one with the same topics."""
+        """Close the file, and start the next one with the same topics."""
         assert self.storage is not None
         self.storage.close(self.version, "")
         self._end_part(self.storage.path)
@@ -127,7 +127,7 @@ class PartWriter(Writer):
                 rihs01=topic.digest,
                 offered_qos_profiles=topic.ext.offered_qos_profiles,
             )
-        # What add_connection has made is equal but for the texts of definitions, which callers compare.
+        # The new connections differ in the texts of definitions, which callers compare.
         self.connections, self.counts = topics, counts
 
     def _end_part(self, file: Path) -> None:
@@ -147,7 +147,7 @@ class PartWriter(Writer):
         self.min_timestamp, self.max_timestamp = 2**63 - 1, 0
 
     def close(self) -> None:
-        """Write what is missing, and metadata.yaml."""
+        """Write the rest of the last file, and metadata.yaml."""
         assert self.storage is not None
         file = self.storage.path
         super().close()

@@ -1,1 +1,1 @@
-"""Pure rules of playing and recording: what is missing, and which message is dropped."""
+"""Pure rules of playback and recording: missing messages, and the choice of dropped ones."""

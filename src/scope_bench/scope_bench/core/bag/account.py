@@ -1,11 +1,11 @@
-"""Account of a playback or a recording: which messages are missing, by topic and reason."""
+"""Account of the missing messages of a playback or a recording, by topic and reason."""
 
 from __future__ import annotations
 
 from collections.abc import Collection
 
 INCOMPLETE = 3
-"""Exit code of a program that ran to its end while messages are missing."""
+"""Exit code of a program that ran to its end with missing messages."""
 
 
 class Account:
@@ -14,12 +14,12 @@ class Account:
     Parameters
     ----------
     allowed
-        Topics whose messages may be missing: they are listed, and the account stays complete.
+        Topics whose messages may be missing: the account lists them and stays complete.
 
     Attributes
     ----------
     missing
-        Number of missing messages, and of all that there were (None: not known), by topic and reason.
+        Numbers of missing messages and of all messages (None: unknown), by topic and reason.
     """
 
     def __init__(self, allowed: Collection[str] = ()) -> None:
@@ -27,7 +27,7 @@ class Account:
         self.missing: dict[tuple[str, str], tuple[int, int | None]] = {}
 
     def miss(self, topic: str, reason: str, count: int = 1, of: int | None = None) -> None:
-        """Add missing messages of a topic; ``of`` is the number that there were, None if it is not known."""
+        """Add missing messages of a topic; ``of`` is the number of all its messages, None if unknown."""
         before, _ = self.missing.get((topic, reason), (0, None))
         self.missing[topic, reason] = before + count, of
 
@@ -38,7 +38,7 @@ class Account:
 
     @property
     def count(self) -> int:
-        """Missing messages of all topics."""
+        """Number of missing messages of all topics."""
         return sum(count for count, _ in self.missing.values())
 
     def lines(self) -> list[str]:

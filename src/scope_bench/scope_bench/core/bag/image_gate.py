@@ -1,4 +1,4 @@
-"""Which images and clouds a recorder keeps when it cannot keep all: whole stereo pairs, evenly spread in time."""
+"""Choice of images and clouds for a recorder that cannot keep all: whole stereo pairs, evenly spread in time."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from collections import OrderedDict
 from collections.abc import Collection, Mapping
 
 _STAMP = slice(4, 12)
-"""Of the CDR of a message that begins with a header: seconds and nanoseconds, behind the encapsulation."""
+"""Stamp in the CDR of a message that starts with a header: seconds and nanoseconds, after the encapsulation."""
 _REMEMBERED = 64
 _FULLNESS = (0.75, 0.85, 0.92)
-"""Shares of the room that is taken from which on one of two, three, four moments is kept."""
+"""Filled shares of the queue beyond which one of two, three, four moments is kept."""
 
 
 def other_side(topic: str) -> str:
-    """Return the topic of the other camera of a pair, "" for a topic that names no side."""
+    """Return the topic of the other camera of a pair, "" for a topic without a side in its name."""
     parts = topic.split("/")
     for mine, other in (("left", "right"), ("right", "left")):
         if mine in parts:
@@ -23,12 +23,12 @@ def other_side(topic: str) -> str:
 
 
 class ImageGate:
-    """Decides for each moment, which is all messages of one stamp in the topics of one pair.
+    """Decides for each moment: all messages with one stamp on the topics of a pair.
 
     Parameters
     ----------
     rates_hz
-        Maximum rate of topics, by the stamps of images and clouds; that of one side holds for both.
+        Maximum rate of topics, by the stamps of images and clouds; the rate of one side applies to both.
     """
 
     def __init__(self, rates_hz: Mapping[str, float] | None = None) -> None:
@@ -43,9 +43,9 @@ class ImageGate:
         Parameters
         ----------
         topic, data
-            Where it came, and its CDR.
+            Topic and CDR of the message.
         size, room
-            Bytes that are waiting to be written, and the maximum.
+            Number of bytes that wait for the disk, and its maximum.
         topics
             All topics that are recorded.
         """
@@ -68,7 +68,7 @@ class ImageGate:
         return reason
 
     def too_fast(self, topic: str, stamp_ns: int) -> bool:
-        """Return whether a message comes in the same period of the topic's maximum rate as the one before."""
+        """Return whether a message falls into the same period of the topic's maximum rate as the one before."""
         rate_hz = self._rates_hz.get(topic)
         if rate_hz is None:
             return False

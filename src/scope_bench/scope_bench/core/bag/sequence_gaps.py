@@ -1,4 +1,4 @@
-"""Counts messages that publishers have sent and nobody received, by the numbers that the middleware gives them."""
+"""Count the messages that were sent and not received, by the middleware's sequence numbers."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ class _Publisher:
 
 
 class SequenceGaps:
-    """The numbers of one topic's messages; each publisher counts from 1.
+    """Sequence numbers of one topic's messages; each publisher counts from 1.
 
     A message does not name its publisher. With one publisher the count is exact; among several a number belongs to the
     publisher whose last number is nearest below it.
@@ -26,20 +26,20 @@ class SequenceGaps:
         self.lost = 0
 
     def add(self, number: int, publishers: int, sent_ns: int = 0) -> None:
-        """Add a received message's number and time; ``publishers`` is how many the topic has now."""
+        """Add a received message's number and time; ``publishers`` is the topic's present number of publishers."""
         for one in self._publishers:
-            if number in one.open:  # it came out of order
+            if number in one.open:  # received out of order
                 one.open.remove(number)
                 self.lost -= 1
                 return
         if sent_ns < self._newest_ns:
-            return  # kept for late subscribers: it says nothing about the messages behind it
+            return  # kept for late subscribers: no evidence about the messages after it
         self._newest_ns = sent_ns
         below = [one for one in self._publishers if one.last < number]
         nearest = max(below, key=lambda one: one.last, default=None)
         new = len(self._publishers) < publishers and (nearest is None or nearest.last + 1 != number)
         if nearest is None or new:
-            # The first message of a publisher that is known: nobody missed the ones before.
+            # The first message of a known publisher: there was none before.
             self._publishers.append(_Publisher(number))
             del self._publishers[: -max(1, publishers)]
             return

@@ -1,1 +1,1 @@
-"""Who gets in, and how much of the server each one may use."""
+"""Limits of each client's share of the server: connections, rates, sizes."""

@@ -1,4 +1,4 @@
-"""Places for connections: so many in all, so many for one user, and some that are kept for those who had control."""
+"""Slots for connections: a total, a maximum for each user, and some reserved for present and former operators."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from typing import Generic, TypeVar
 from scope_ui_bridge.core.refusal import Refusal
 
 OWN_PLACES = 8
-"""Connections of one kind that one user may have: when another one comes, the oldest of that user goes."""
+"""Maximum number of connections of one kind for one user; a new one beyond it ends the user's oldest."""
 KEPT_PLACES = 4
-"""Places, for pages and for each kind of connection, that only those get who have or had control."""
+"""Reserved slots of each kind of connection, for users who have or have had control."""
 
 
 Key = TypeVar("Key", bound=Hashable)
@@ -24,12 +24,12 @@ class _Place:
 
 
 class Places(Generic[Key]):
-    """Who has a place.
+    """The slots and their owners.
 
     Parameters
     ----------
     total
-        How many there are of all kinds together, besides the kept ones.
+        Number of slots for all kinds together, without the reserved ones.
     """
 
     def __init__(self, total: int) -> None:
@@ -37,22 +37,22 @@ class Places(Generic[Key]):
         self._taken: dict[Key, _Place] = {}
 
     def owners(self) -> list[Key]:
-        """Return who has a place."""
+        """Return the owners of all slots."""
         return list(self._taken)
 
     def take(self, key: Key, name: str, kind: str, *, kept: bool, spared: Key | None = None) -> Key | None:
-        """Give ``key`` a place; return whose place of the same user has to be given up for it, or None.
+        """Give ``key`` a slot; return the owner of the same user's slot that it replaces, or None.
 
         Parameters
         ----------
         key
-            Names the place.
+            Owner of the slot.
         name, kind
-            The user, and the kind of connection.
+            User, and kind of connection.
         kept
-            Whether the user has or had control.
+            Whether the user has or has had control.
         spared
-            The place of the page in control, which is never given up.
+            Owner whose slot is never replaced: the page in control.
 
         Raises
         ------
@@ -70,5 +70,5 @@ class Places(Generic[Key]):
         return gone
 
     def leave(self, key: Key) -> None:
-        """Give a place up."""
+        """Free a slot."""
         self._taken.pop(key, None)

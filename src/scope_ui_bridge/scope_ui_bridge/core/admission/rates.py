@@ -1,4 +1,4 @@
-"""How fast one may come: buckets that fill with time, for each page and, over all of them, for each user."""
+"""Maximum rates of each page, and of all pages of a user: buckets that fill with time."""
 
 from __future__ import annotations
 
@@ -8,27 +8,27 @@ from dataclasses import dataclass, field
 from typing import Generic, TypeVar
 
 MESSAGES_PER_S, BURST = 40.0, 80.0
-"""Of one page: it sends 15 a second while an arrow is held."""
+"""Messages of one page; a page sends 15 a second while an arrow is held."""
 USER_MESSAGES_PER_S, USER_BURST = 80.0, 160.0
 BYTES_PER_S, BURST_BYTES = 16e3, 100e3
-"""Of one user: three of the longest messages at once."""
+"""Bytes of one user's messages; the burst allows three of the longest messages."""
 STOPS_PER_S, STOP_BURST = 10.0, 20.0
 DROPPED_PER_S, DROPPED_BURST = 10.0, 80.0
-"""What a page may send beyond its rate: it is dropped unread, and more than this ends the connection."""
+"""Messages of a page beyond its rate that are dropped unread; more than this ends the connection."""
 OPENED_PER_S, OPENED_BURST = 4.0, 40.0
-"""Connections that one user may open: eight pages that come back at once open sixteen."""
+"""New connections of one user; eight pages that reconnect at once open sixteen."""
 REQUESTS_PER_S, REQUESTS_BURST = 40.0, 400.0
-"""Plain requests of one user: a page needs forty files; what comes faster waits."""
+"""Plain requests of one user; a page needs forty files. Requests beyond the rate wait."""
 PINGS_PER_S, PINGS_BURST = 4.0, 40.0
-"""Pings and pongs on one connection, each of which is looked at or answered."""
+"""Pings and pongs on one connection."""
 PICTURES_PER_S, PICTURES_BURST = 120.0, 240.0
-"""Messages on the connection of the pictures: one for each that was drawn."""
+"""Messages on the video connection: one for each drawn picture."""
 MAX_USERS = 256
 
 
 @dataclass(slots=True)
 class Bucket:
-    """Lets ``burst`` through at once, and then ``per_s``."""
+    """Token bucket: allows ``burst`` at once, and ``per_s`` over time."""
 
     per_s: float
     burst: float
@@ -39,7 +39,7 @@ class Bucket:
         self._left = self.burst
 
     def take(self, now_s: float, amount: float = 1.0) -> bool:
-        """Whether as much may pass; what may not takes nothing."""
+        """Return whether the amount may pass; a rejected amount costs nothing."""
         passed_s = max(now_s - self._filled_s, 0.0)
         self._left = min(self.burst, self._left + passed_s * self.per_s)
         self._filled_s = now_s
@@ -49,7 +49,7 @@ class Bucket:
         return True
 
     def wait_s(self, amount: float = 1.0) -> float:
-        """Return in how many seconds as much may pass, from the last :meth:`take` on."""
+        """Return the seconds from the last :meth:`take` until the amount may pass."""
         return max(amount - self._left, 0.0) / self.per_s
 
 
@@ -57,7 +57,7 @@ Kept = TypeVar("Kept")
 
 
 class OfUsers(Generic[Kept]):
-    """One value for each user; those that have not been asked for longest are forgotten."""
+    """One value for each user; the least recently used ones are forgotten."""
 
     def __init__(self, make: Callable[[], Kept]) -> None:
         self._make = make
@@ -71,13 +71,13 @@ class OfUsers(Generic[Kept]):
         return kept
 
     def get(self, name: str) -> Kept | None:
-        """Return the value of a user who has one."""
+        """Return a user's value, None if there is none."""
         return self._of.get(name)
 
 
 @dataclass(slots=True)
 class UserBudget:
-    """What all pages of one user may send together."""
+    """Limits of all pages of one user together."""
 
     messages: Bucket = field(default_factory=lambda: Bucket(USER_MESSAGES_PER_S, USER_BURST))
     size: Bucket = field(default_factory=lambda: Bucket(BYTES_PER_S, BURST_BYTES))

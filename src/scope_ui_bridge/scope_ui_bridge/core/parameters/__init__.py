@@ -1,1 +1,1 @@
-"""What the page tells of the parameters of the graph's nodes."""
+"""The page's reports on the parameters of the graph's nodes."""

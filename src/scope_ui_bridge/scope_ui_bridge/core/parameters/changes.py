@@ -1,4 +1,4 @@
-"""Changed parameters of the graph's nodes: a line each in command log and audit file, and none for a flood."""
+"""Changed parameters of the graph's nodes: a line for each in command log and audit file, limited during a flood."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from scope_ui_bridge.core.command_log import CommandLog, record, shown
 from scope_ui_bridge.core.effects import Effect, Now, Record
 
 MOST, WITHIN_S = 20, 10.0
-"""Maximum number of changes that are shown within this time; the next one that is shown counts the others."""
+"""Maximum number of changes shown within this time; the next one shown counts the omitted ones."""
 ACTION = "parameter"
 
 
 class ParameterChanges:
-    """Writes them to a command log."""
+    """Writes the changes to a command log."""
 
     def __init__(self, log: CommandLog) -> None:
         self._log = log
@@ -21,7 +21,7 @@ class ParameterChanges:
         self._omitted = 0
 
     def changed(self, node: str, name: str, value: str, now: Now) -> list[Effect]:
-        """Take a change; ``value`` is the new one as text."""
+        """Note a change; ``value`` is the new value as text."""
         if len(self._shown_s) == MOST and now.mono_s - self._shown_s[0] < WITHIN_S:
             self._omitted += 1
             return []
