@@ -123,6 +123,8 @@ class GrblSession:
         """When the reports were asked for that have not come."""
         self.report_asked_at = 0.0
         """When the last report was asked for: it was made after that, however late it came."""
+        self.blocks_waiting = -1
+        """Largest number of blocks in the planner by the last report, -1 for unknown."""
         self.last_report_at: float | None = None
         self.unread_report = b""
         """The last report that could not be read, if none could be read after it."""
@@ -159,6 +161,11 @@ class GrblSession:
     def pending(self) -> int:
         """Lines queued or under way."""
         return len(self._queue) + len(self._in_flight)
+
+    @property
+    def sent_number(self) -> int:
+        """Number of the last line that was sent."""
+        return self._number - len(self._queue)
 
     @property
     def unsent(self) -> int:
@@ -276,12 +283,13 @@ class GrblSession:
             self._roomy_reports = 0
         elif not (self._in_flight and self._in_flight[-1][0].alone):  # while one goes alone, it is the limit
             self._roomy_reports += 1
-        # A line makes at least no block and each block in the planner waits, so this never counts too many; where a
-        # board does not report its planner ($10=1), it may be full.
+        # A line that moves makes at least one block, and each block in the planner waits; where a board does not report
+        # its planner ($10=1), it may be full.
+        self.blocks_waiting = self._planner_blocks or -1
         if report.planner_free >= 0:
-            self._executed(self.counts.acknowledged - self._buffers.planner.held(report.planner_free))
-        elif self._planner_blocks:
-            self._executed(self.counts.acknowledged - self._planner_blocks)
+            self.blocks_waiting = self._buffers.planner.held(report.planner_free)
+        if self.blocks_waiting >= 0:
+            self._executed(self.counts.acknowledged - self.blocks_waiting)
         broken = self._contradiction(report, now)
         events.append(report)
         if broken:

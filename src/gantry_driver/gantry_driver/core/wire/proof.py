@@ -47,6 +47,11 @@ class Proving(Stopping):
         self._has_g92: bool | None = None
         """Whether a G92 is in force; None after a reset, which only some firmwares keep it over."""
 
+    @property
+    def _axes(self) -> int:
+        """Number of axes that reports show: where another stylus is no board tells."""
+        return 3 if self.config.stylus.kind == "z_axis" else 2
+
     def output(self, now: float) -> bytes:
         """Return the bytes to write."""
         if self.phase is Phase.MOVING and self._goal is not None:
@@ -77,6 +82,8 @@ class Proving(Stopping):
                 self._queue_confirm(goal, item)
             else:
                 self._queue_line(goal, item.text, item.dwell_s)
+                if goal.marks is not None and item.along_mm is not None:
+                    goal.marks.append(goal.last_line, item.along_mm)
 
     def _queue_confirm(self, goal: Goal, item: Confirm) -> None:
         for text in item.lines:
@@ -109,8 +116,7 @@ class Proving(Stopping):
         goal.items = stage.items(self._frame_mm, goal.feed, self.config)
         goal.sent_all, goal.elsewhere_at = False, math.inf
         if stage.start_mm is not None:
-            axes = 3 if self.config.stylus.kind == "z_axis" else 2
-            goal.watch = PathWatch(stage.start_mm, stage.segments(), axes, now)
+            goal.watch = PathWatch.along(stage.start_mm, stage.segments(), self._axes, now)
 
     def _stage_sent(self, goal: Goal) -> bool:
         return goal.sent_all and goal.confirming is None and goal.last_line <= self._acked
@@ -156,6 +162,9 @@ class Proving(Stopping):
         goal = self._goal
         if goal is None or goal.watch is None or report.mpos_mm is None or self.phase is not Phase.MOVING:
             return False
+        if goal.marks is not None:
+            executed_mm = goal.marks.executed_mm(self._acked, self.session.blocks_waiting)
+            goal.watch.bound(executed_mm, goal.marks.along_mm(self.session.sent_number))
         raised = max(100.0, self._feed_percent) / 100.0  # max() keeps the first where the other is not a number
         deviation = goal.watch.check(
             report.mpos_mm, (report.feed_mm_min or 0.0) / raised, now, self.session.report_asked_at
@@ -198,8 +207,7 @@ class Proving(Stopping):
         if here is None or report.mpos_mm is None:
             return
         tolerance_m = max(self.config.arrival_tolerance_m, self.config.rounding_m())
-        axes = 3 if self.config.stylus.kind == "z_axis" else 2  # where another stylus is no board tells
-        error_m = math.dist(goal.end_m[:axes], here[:axes])
+        error_m = math.dist(goal.end_m[: self._axes], here[: self._axes])
         if goal.stages and goal.watch is not None:
             error_m = goal.watch.off_end_mm(report.mpos_mm) / 1000.0
         if error_m > tolerance_m:
@@ -265,8 +273,7 @@ class Proving(Stopping):
             abs(now_mm - was_mm) <= SAME_PLACE_MM + rate * way_s / 60.0
             for now_mm, was_mm, rate in zip(place, before, machine.max_rate_mm_min)
         )
-        axes = 3 if self.config.stylus.kind == "z_axis" else 2
-        inside = all(-t - BEYOND_MM <= p <= BEYOND_MM for p, t in zip(place[:axes], machine.travel_mm))
+        inside = all(-t - BEYOND_MM <= p <= BEYOND_MM for p, t in zip(place[: self._axes], machine.travel_mm))
         return near and inside and len(place) == len(before)
 
     def _set_overrides_back(self, feed: float, _rapid: float, spindle: float) -> None:
