@@ -17,7 +17,6 @@ from gantry_driver.core.program.marks import LineMarks
 from gantry_driver.core.session import HOLD, RESUME
 from gantry_driver.core.stopping import LOCKED
 from gantry_driver.core.trajectory_gcode import (
-    SYNCHRONISE,
     TrajectoryError,
     Waypoint,
     mpos_mm,
@@ -26,6 +25,7 @@ from gantry_driver.core.trajectory_gcode import (
     write_motion,
 )
 from gantry_driver.core.wire.goal import Goal
+from gantry_driver.core.wire.lines import SYNCHRONISE
 from gantry_driver.core.wire.proof import Proving, three
 from gantry_driver.core.wire.stages import DOWN_MM, LINE_S, SURPLUS_S, Send, depth_mm, make_script
 from gantry_driver.core.wire.watch import PathWatch

@@ -52,6 +52,8 @@ class Goal:
     sent_all: bool = False
     """Whether every line of the present stage is queued."""
     last_line: int = 0
+    unasked: int = 0
+    """Lines since the last ``$G`` that was sent between them."""
     feed: str = ""
     confirming: Confirm | None = None
     confirm_line: int = 0

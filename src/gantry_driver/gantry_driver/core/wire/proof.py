@@ -31,6 +31,9 @@ FRAME_MM = 0.02
 """Largest difference between the frame and the reported one: a motor step, for lines end between two of them."""
 SEEN_S = 1.0
 """Age at which a message that the stylus was seen off the panel counts no more."""
+ASK_EVERY = 20
+"""Lines after which ``$G`` is sent to a board that does not report its buffers: answered out of turn, it shows that an
+answer before it is missing."""
 QUEUED_LINES = 600
 """Of a goal, ahead of the board: more than the shortest lines that any receive buffer holds."""
 
@@ -73,6 +76,9 @@ class Proving(Stopping):
     def _queue_more(self, goal: Goal) -> None:
         """Queue lines up to a limit, so that a long program starts at once."""
         while not (goal.sent_all or goal.confirming) and self.session.unsent < QUEUED_LINES:
+            if goal.unasked >= ASK_EVERY and not self.session.tells_buffers:
+                goal.unasked = 0
+                self._queue_line(goal, ASK_MODES, 0.0)
             item = next(goal.items, None)
             if item is None:
                 goal.sent_all = True
@@ -82,6 +88,7 @@ class Proving(Stopping):
                 self._queue_confirm(goal, item)
             else:
                 self._queue_line(goal, item.text, item.dwell_s)
+                goal.unasked += 1
                 if goal.marks is not None and item.along_mm is not None:
                     goal.marks.append(goal.last_line, item.along_mm)
 

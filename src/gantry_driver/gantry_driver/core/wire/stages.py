@@ -26,13 +26,13 @@ from gantry_driver.core.stylus_state import STYLUS_DOWN_M
 from gantry_driver.core.trajectory_gcode import (
     MODES,
     SAME_FEED,
-    SYNCHRONISE,
     Motion,
     Move,
     Order,
     stylus_dwell,
     stylus_lines,
 )
+from gantry_driver.core.wire.lines import SYNCHRONISE
 from gantry_driver.core.wire.modes import ASK_MODES, Modes
 from gantry_driver.core.wire.watch import Segment, Vector
 
