@@ -79,7 +79,7 @@ class Stage:
     Parameters
     ----------
     start_mm, end_mm
-        Machine positions in mm; None where the lines are a program, whose path is not known here.
+        Machine positions in mm; None where the lines are a program, which has one path for all of them.
     parts
         Its moves, and the orders of a stylus without a Z axis.
     touching
