@@ -171,6 +171,25 @@ def test_a_request_for_a_report_that_raises_the_feed_is_set_back_while_the_next_
     assert too_fast_s(rig, 9000.0, since) <= LATE_S
 
 
+def test_a_feed_that_rises_with_each_order_to_set_it_back_is_stopped() -> None:
+    """A stuck bit makes each 0x90 a 0x91."""
+    rig = DamagedRig()
+    rig.home()
+    begun = math.inf
+
+    def stuck(data: bytes) -> bytes:
+        nonlocal begun
+        if b"\x90" in data:
+            begun = min(begun, rig.now)
+        return data.replace(b"\x90", b"\x91") if rig.now < begun + 0.5 else data
+
+    rig.to_board = stuck
+    since = rig.now
+    answer = rig.finish([(0.3, 0.2, 0.0)])
+    assert answer.outcome is Outcome.ABORTED and "feed override rises" in answer.reason, answer
+    assert begun < math.inf and too_fast_s(rig, 9000.0, since) <= LATE_S
+
+
 def test_a_frame_that_the_board_does_not_have_is_sent_again() -> None:
     rig = hovering()
     rig.once(b"Z8G92", b"Z6G92")

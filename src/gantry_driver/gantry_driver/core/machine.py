@@ -339,7 +339,7 @@ class Machine(Streaming):
             self.session.poll_now()
             return
         if report.overrides_percent is not None:
-            self._set_overrides_back(*report.overrides_percent)
+            self._set_overrides_back(now, *report.overrides_percent)
         if self._leaves_path(report, now):
             self.counts.disbelieved += 1
             return

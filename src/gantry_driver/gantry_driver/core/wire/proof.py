@@ -283,12 +283,16 @@ class Proving(Stopping):
         inside = all(-t - BEYOND_MM <= p <= BEYOND_MM for p, t in zip(place[: self._axes], machine.travel_mm))
         return near and inside and len(place) == len(before)
 
-    def _set_overrides_back(self, feed: float, _rapid: float, spindle: float) -> None:
+    def _set_overrides_back(self, now: float, feed: float, _rapid: float, spindle: float) -> None:
         """End what a pendant has raised: no touch is faster, and no servo elsewhere, than it is configured.
 
         An operator may slow the machine down: a lower override stays.
         """
+        rises = feed > self._feed_percent > 100.0
         self._feed_percent = feed
+        if rises and self.phase is Phase.MOVING:
+            # What is to set it back arrives as something else, each time.
+            self._halt(f"the board's feed override rises to {feed:g} % although it is set back", now)
         if self._goal is not None:
             self._goal.slowest_percent = min(self._goal.slowest_percent, feed)
         raised = feed > 100.0 or (spindle != 100.0 and self._is_servo())
