@@ -43,10 +43,11 @@ campaign: ## seeded faults against the mock board; CAMPAIGN_SEEDS=5000, or FIRST
 
 DAMAGE_SEEDS ?= 20000
 DAMAGE_DIRECTION ?= both
+DAMAGE_KINDS ?= bytes
 damage: ## damaged bytes between driver and mock board; DAMAGE_SEEDS=FIRST:LAST and DAMAGE_DIRECTION=to_board repeat some
 	@scripts/setup.sh dev
 	@PYTHONPATH=tests:$$PYTHONPATH $(VENV)/python -m campaign.damage --seeds $(DAMAGE_SEEDS) \
-		--direction $(DAMAGE_DIRECTION) --out artifacts/damage
+		--direction $(DAMAGE_DIRECTION) --kinds $(DAMAGE_KINDS) --out artifacts/damage
 
 NOISE_MINUTES ?= 10
 noise: ## presses on the whole graph for NOISE_MINUTES=10 while one byte in 500 is damaged on the wire

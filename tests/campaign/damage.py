@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import collections
 import dataclasses
+import gc
 import json
 import multiprocessing
 import os
@@ -22,6 +23,7 @@ from typing import Any
 from campaign.damage_judge import HARMLESS, REPORTED, STOPPED, VERDICTS, WRONG, Judge
 from campaign.damage_phases import PHASES, Scene, carry_out, scene_of
 from campaign.damage_rig import DIRECTIONS, DamageRig
+from campaign.other_damage import OtherDamage
 from campaign.run import seeds
 
 from gantry_driver.core.machine_config import DriverConfig
@@ -29,6 +31,7 @@ from gantry_driver.mock.serial_line import Damage
 
 CONFIG = DriverConfig(enabled_at_start=True)
 NAMES = tuple(PHASES)
+KINDS: dict[str, type[Damage]] = {"bytes": Damage, "other": OtherDamage}
 CHUNK = 22
 """Seeds that a process takes at a time."""
 SHOWN = 5
@@ -41,6 +44,7 @@ class Case:
 
     direction: str
     seed: int
+    damage: type[Damage] = Damage
 
     @property
     def phase(self) -> str:
@@ -48,10 +52,11 @@ class Case:
 
     @property
     def kind(self) -> str:
-        return Damage.kinds[self.seed // len(NAMES) % len(Damage.kinds)]
+        return self.damage.kinds[self.seed // len(NAMES) % len(self.damage.kinds)]
 
     def draw(self) -> tuple[Scene, random.Random]:
-        rng = random.Random(f"{self.direction} {self.seed}")
+        other = "" if self.damage is Damage else "other "
+        rng = random.Random(f"{other}{self.direction} {self.seed}")
         return scene_of(rng), rng
 
 
@@ -107,8 +112,10 @@ class Counting(Damage):
 def run_case(case: Case, config: DriverConfig = CONFIG) -> Finding:
     """Run one case and judge it."""
     scene, rng = case.draw()
-    damage = Damage(case.kind, rng.randrange(span(case.direction, case.phase)), rng)
+    damage = case.damage(case.kind, rng.randrange(span(case.direction, case.phase)), rng)
     rig = DamageRig(config, case.seed, damage, case.direction)
+    if isinstance(damage, OtherDamage):
+        damage.clock = lambda: rig.board.now
     failure = ""
     try:
         carry_out(rig, case.phase, scene, rng)
@@ -135,7 +142,12 @@ def run_case(case: Case, config: DriverConfig = CONFIG) -> Finding:
 
 
 def run_chunk(cases: Sequence[Case]) -> list[Finding]:
-    return [run_case(case) for case in cases]
+    """Run some cases; what they leave behind is collected once, at the end."""
+    gc.freeze()
+    gc.disable()
+    found = [run_case(case) for case in cases]
+    gc.collect()
+    return found
 
 
 def chunks(cases: Sequence[Case]) -> Iterable[Sequence[Case]]:
@@ -150,7 +162,8 @@ def table(findings: Sequence[Finding], direction: str) -> str:
             for phase in (found.phase, "all"):
                 for kind in (found.kind, "all"):
                     counts[phase, kind, found.verdict] += 1
-    kinds = [*Damage.kinds, "all"]
+    of_bytes = not findings or findings[0].kind in Damage.kinds
+    kinds = [*(Damage if of_bytes else OtherDamage).kinds, "all"]
     rows = [f"| phase | {' | '.join(kinds)} |", f"|---|{'---|' * len(kinds)}"]
     for phase in (*NAMES, "all"):
         cells = [" / ".join(str(counts[phase, kind, verdict]) for verdict in VERDICTS) for kind in kinds]
@@ -165,7 +178,8 @@ def text_of(found: Finding) -> str:
     lines += [f"  wrong: {text}" for text in found.why]
     lines += [f"  told: {text}" for text in found.told]
     lines += [f"  deviated: {text}" for text in found.deviated]
-    again = f"make damage DAMAGE_SEEDS={found.seed}:{found.seed + 1} DAMAGE_DIRECTION={found.direction}"
+    kinds = "" if found.kind in Damage.kinds else " DAMAGE_KINDS=other"
+    again = f"make damage DAMAGE_SEEDS={found.seed}:{found.seed + 1} DAMAGE_DIRECTION={found.direction}{kinds}"
     return "\n".join([*lines, f"  repeat with: {again}"])
 
 
@@ -174,12 +188,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="damage", description=__doc__)
     parser.add_argument("--seeds", type=seeds, default=range(20_000), metavar="N|A:B", help="per direction (20000)")
     parser.add_argument("--direction", choices=(*DIRECTIONS, "both"), default="both")
+    parser.add_argument("--kinds", choices=KINDS, default="bytes", help="of bytes, or of lines and times (bytes)")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, metavar="N", help="processes (one a core)")
     parser.add_argument("--out", type=Path, metavar="FOLDER", help="write findings.json and table.md there")
     given = parser.parse_args(arguments)
     directions = DIRECTIONS if given.direction == "both" else (given.direction,)
     # Alternating, so that a run that was broken off has seen both.
-    cases = [Case(direction, seed) for seed in given.seeds for direction in directions]
+    cases = [Case(direction, seed, KINDS[given.kinds]) for seed in given.seeds for direction in directions]
     print(f"seeds {given.seeds.start} to {given.seeds.stop - 1}, {', '.join(directions)}; {given.jobs} processes")
     began = time.monotonic()
     findings: list[Finding] = []

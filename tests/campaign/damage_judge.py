@@ -25,6 +25,8 @@ GRAZE_MM = 0.02
 IN_CONTACT_MM, IN_THE_AIR_MM = 1.0, 10.0
 """Distance from the path above which a reached goal is a false one; in the air the stylus travels 7 mm in 40 ms."""
 FEED_FACTOR, FEED_EXTRA_MM_S = 1.02, 0.5
+NEAR_MM = 1.0
+"""Distance from a segment within which its feed is allowed."""
 TOO_FAST_S = 0.1
 RETREAT_MM_S = 30.0
 """Speed of the retreat after a stop (stylus_feed_m_s)."""
@@ -97,13 +99,15 @@ class Judge:
     def _check_moves(self) -> None:
         goals = self.story.goals
         number, over_s = -1, 0.0
+        windows = [(window.begin, window.end + 0.1) for window in self.story.homings]
+        touch = self.story.panel_mm + GRAZE_MM
         for before, after in pairwise(self.track):
             while number + 1 < len(goals) and goals[number + 1].sent < after.t - 1e-9:
                 number += 1
             goal = goals[number] if number >= 0 else None
-            homing = any(w.begin <= after.t and before.t <= w.end + 0.1 for w in self.story.homings)
+            homing = any(begin <= after.t and before.t <= end for begin, end in windows)
             for vertex in (before, after):
-                if vertex.e > self.story.panel_mm + GRAZE_MM:
+                if vertex.e > touch:
                     self._check_contact(vertex, goal, number + 1)
             if homing:
                 over_s = 0.0
@@ -142,6 +146,8 @@ class Judge:
         low, high = sorted((before.speed, after.speed))
         if high <= min(goal.plan.feeds[1:], default=0.0):
             return 0.0
+        if _allows(before, goal.plan, high) or _allows(after, goal.plan, high):
+            return 0.0
         limit = max(_feed_at(before, goal.plan), _feed_at(after, goal.plan))
         if after.e < before.e and math.dist(before[1:3], after[1:3]) < 0.01:
             limit = max(limit, RETREAT_MM_S)
@@ -161,11 +167,12 @@ class Judge:
     def _check_positions(self) -> None:
         for t, place in self.story.positions:
             seen = self._between(t - SEEN_WITHIN_S, t)
-            slack = STILL_MM if len({vertex[1:4] for vertex in seen}) == 1 else MOVING_MM
             for axis, value in enumerate(place, 1):
                 values = [vertex[axis] for vertex in seen]
                 off = max(min(values) - value, value - max(values))
-                if off > slack:
+                if off <= STILL_MM:
+                    continue
+                if off > MOVING_MM or len({vertex[1:4] for vertex in seen}) == 1:
                     text = f"({', '.join(f'{v:.3f}' for v in place)})"
                     self._once(f"published {text}, {off:.2f} mm from where it was: {_text(seen[-1])}")
 
@@ -235,10 +242,19 @@ def _from_contact(vertex: Vertex, plan: Plan, panel_mm: float) -> float:
     return min((_to_segment(place, (*a[:2], 0.0), (*b[:2], 0.0)) for a, b in legs), default=math.inf)
 
 
+def _allows(vertex: Vertex, plan: Plan, speed: float) -> bool:
+    """Whether a planned segment near a vertex is at least as fast."""
+    place, points = vertex[1:4], plan.points
+    return any(
+        feed * FEED_FACTOR + FEED_EXTRA_MM_S >= speed and _to_segment(place, a, b) <= NEAR_MM
+        for a, b, feed in zip(points, points[1:], plan.feeds[1:])
+    )
+
+
 def _feed_at(vertex: Vertex, plan: Plan) -> float:
     """Return the highest planned feed near a vertex; off the plan that of the whole goal."""
     place, points = vertex[1:4], plan.points
-    near = [feed for a, b, feed in zip(points, points[1:], plan.feeds[1:]) if _to_segment(place, a, b) <= 1.0]
+    near = [feed for a, b, feed in zip(points, points[1:], plan.feeds[1:]) if _to_segment(place, a, b) <= NEAR_MM]
     return max(near or plan.feeds)
 
 
@@ -248,7 +264,11 @@ def _missed(plan: Plan, vertices: Sequence[Vertex], panel_mm: float) -> str:
     for point in plan.points[1:]:
         if point[2] <= panel_mm:
             continue
-        while at < len(vertices) and _to_segment(point, vertices[at - 1][1:4], vertices[at][1:4]) > TUBE_MM:
+        while at < len(vertices):
+            before, after = vertices[at - 1], vertices[at]
+            deep = before.e >= point[2] - TUBE_MM or after.e >= point[2] - TUBE_MM  # most of the way is in the air
+            if deep and _to_segment(point, before[1:4], after[1:4]) <= TUBE_MM:
+                break
             at += 1
         if at == len(vertices):
             return f"{_place(point)} mm"

@@ -41,14 +41,18 @@ class TracedBoard(Board):
 
     def _catch_up(self) -> None:
         super()._catch_up()
-        mechanics, speed = self.mechanics, self.motion.speed(self.now)
-        if mechanics.motor == self._motors and self.track:
+        mechanics = self.mechanics
+        rests = mechanics.motor == self._motors and bool(self.track)
+        if rests and self.now == self.track[-1].t:
+            return
+        speed = self.motion.speed(self.now)
+        if rests:
             # A rest has two vertices, its begin and its end.
             last = self.track[-1]
             if self._rests:
-                self.track[-1] = last._replace(t=self.now, speed=speed)
+                self.track[-1] = Vertex(self.now, *last[1:4], speed)
             elif self.now > last.t:
-                self.track.append(last._replace(t=self.now, speed=speed))
+                self.track.append(Vertex(self.now, *last[1:4], speed))
                 self._rests = True
             return
         self._rests = False

@@ -124,16 +124,10 @@ class VirtualRig:
     def _step(self, end: float) -> None:
         times = [end, *self._ends.values()]
         if self._open:
-            times.append(self.machine.deadline(self.now))
+            times.append(self._deadline())
         elif self._plugged:
             times.append(self._next_open)
-        due = self.board.next_due()
-        if due is not None:
-            times.append(due)
-        self.now = max(min(times), self.now + 1e-6)
-        self._end_faults()
-        self.board.advance(self.now)
-        data = b"".join(self.board.take_output())
+        data = self._run_board(min(times))
         if self._open:
             self._turn(data)
         elif self._plugged and self.now >= self._next_open:
@@ -142,11 +136,26 @@ class VirtualRig:
             self.machine.opened(self.now)
         self._collect()
 
-    def _turn(self, data: bytes) -> None:
+    def _run_board(self, end: float) -> bytes:
+        """Go on to the board's next event, to ``end`` at most; return what the board has sent."""
+        due = self.board.next_due()
+        self.now = max(end if due is None else min(end, due), self.now + 1e-6)
+        if self._ends:
+            self._end_faults()
+        self.board.advance(self.now)
+        return b"".join(self.board.take_output())
+
+    def _deadline(self) -> float:
+        return self.machine.deadline(self.now)
+
+    def _receive(self, data: bytes) -> None:
         while data:
             size = self._rng.randint(1, len(data))
             self.machine.receive(data[:size], self.now)
             data = data[size:]
+
+    def _turn(self, data: bytes) -> None:
+        self._receive(data)
         self.machine.tick(self.now)
         self._pending += self.machine.output(self.now)
         if self._reading:

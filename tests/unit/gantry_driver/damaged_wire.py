@@ -30,6 +30,7 @@ class DamagedRig(VirtualRig):
         """Readings that were published, with where the stylus was, both in mm of extension and travel."""
         self.truth: list[tuple[float, Place, float]] = []
         """Time, machine position (mm) and feed (mm/min) of the motors."""
+        self.answered_at = 0.0
         super().__init__(config, seed, dialect)
 
     def home(self) -> None:
@@ -52,6 +53,7 @@ class DamagedRig(VirtualRig):
         self.results.clear()
         self.go(points, "goal")
         self.until(lambda: self.results and self.results[-1].outcome.final, within_s)
+        self.answered_at = self.now
         answer = self.results[-1]
         self.until(lambda: self.machine.connected and self.machine.at_rest, 60.0)
         return answer

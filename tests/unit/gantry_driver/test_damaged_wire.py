@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import random
+from itertools import pairwise
 
 import pytest
 from campaign.faults import CONFIG, HOMED, SERVO
@@ -170,6 +171,25 @@ def test_a_request_for_a_report_that_raises_the_feed_is_set_back_while_the_next_
     assert too_fast_s(rig, 9000.0, since) <= LATE_S
 
 
+def test_a_feed_that_rises_with_each_order_to_set_it_back_is_stopped() -> None:
+    """A stuck bit makes each 0x90 a 0x91."""
+    rig = DamagedRig()
+    rig.home()
+    begun = math.inf
+
+    def stuck(data: bytes) -> bytes:
+        nonlocal begun
+        if b"\x90" in data:
+            begun = min(begun, rig.now)
+        return data.replace(b"\x90", b"\x91") if rig.now < begun + 0.5 else data
+
+    rig.to_board = stuck
+    since = rig.now
+    answer = rig.finish([(0.3, 0.2, 0.0)])
+    assert answer.outcome is Outcome.ABORTED and "feed override rises" in answer.reason, answer
+    assert begun < math.inf and too_fast_s(rig, 9000.0, since) <= LATE_S
+
+
 def test_a_frame_that_the_board_does_not_have_is_sent_again() -> None:
     rig = hovering()
     rig.once(b"Z8G92", b"Z6G92")
@@ -229,6 +249,57 @@ def test_a_lost_answer_is_reported_while_the_path_runs() -> None:
     rig.once(b"ok\r\n", b"ox\r\n", "from_board")
     answer = rig.finish([(0.01 * k, 0.0, 0.0) for k in range(1, 31)])
     assert answer.code == "lost_answer" and answer.duration_s < 1.0
+
+
+def mute_of_buffers() -> DamagedRig:
+    """Return the rig with a homed board whose reports have no ``Bf:``."""
+    rig = DamagedRig()
+    rig.board.eeprom.values[10] = 1
+    rig.home()
+    return rig
+
+
+def lose_answer(rig: DamagedRig, number: int) -> None:
+    """Spoil the board's ``ok`` of this number."""
+    left = number
+
+    def lose(data: bytes) -> bytes:
+        nonlocal left
+        before, left = left, left - data.count(b"ok\r\n")
+        return data.replace(b"ok\r\n", b"ox\r\n", 1) if before > 0 >= left else data
+
+    rig.from_board = lose
+
+
+@pytest.mark.parametrize("which", [3, 8, 30])
+def test_a_lost_answer_of_a_board_that_does_not_report_its_buffers_is_found_while_the_path_runs(which: int) -> None:
+    rig = mute_of_buffers()
+    lose_answer(rig, which)
+    answer = rig.finish([(0.005 * k, 0.001 * (k % 2), 0.0) for k in range(1, 71)])
+    assert answer.code == "lost_answer" and "out of turn" in answer.reason, answer
+    stopped_at = rig.mpos()[0] - HOMED[0]
+    assert stopped_at < 5.0 * (which + 45), "well before its end at 350 mm"
+
+
+def test_a_lost_answer_at_the_end_of_a_path_is_found_as_soon_as_the_board_rests() -> None:
+    rig = mute_of_buffers()
+    lose_answer(rig, 3)
+    answer = rig.finish([(0.02, 0.0, 0.0), (0.04, 0.01, 0.0)])
+    assert answer.code == "lost_answer"
+    ran = [at for (at, place, _), (_, after, _) in pairwise(rig.truth) if place != after]
+    assert rig.answered_at - ran[-1] < 0.8
+
+
+def test_a_board_that_does_not_report_its_buffers_follows_paths_and_programs_with_dwells() -> None:
+    rig = mute_of_buffers()
+    path = [(0.005 * k, 0.001 * (k % 2), 0.0) for k in range(1, 71)]
+    assert rig.finish([*path, *PRESS]).outcome is Outcome.REACHED
+    rig.until(lambda: rig.machine.session.wco_is_sure, 10.0)
+    rig.results.clear()
+    lines = [f"G53 G1 X{-100 - k} F3000" for k in range(45)]
+    rig.machine.run_program("p", [*lines, "G4 P1.5", *lines, "G4 P0.2"], rig.now)
+    rig.until(lambda: rig.results and rig.results[-1].outcome.final, 60.0)
+    assert rig.results[-1].outcome is Outcome.REACHED, rig.results[-1]
 
 
 # --- from the board ---------------------------------------------------------------------------------------------------

@@ -27,7 +27,7 @@ Place = tuple[float, float, float]
 
 def watch(*places: Place, feed: float = 6000.0, axes: int = 3) -> PathWatch:
     segments = [Segment(start_mm=start, end_mm=end, feed_mm_min=feed) for start, end in itertools.pairwise(places)]
-    return PathWatch(places[0], segments, axes, 0.0)
+    return PathWatch.along(places[0], segments, axes, 0.0)
 
 
 def script(*points: Place, start: Place = (0.0, 0.0, 0.0), frame: Place | None = None, framed: bool = True) -> Script:

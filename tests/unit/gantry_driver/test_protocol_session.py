@@ -315,15 +315,17 @@ def test_one_damaged_count_of_the_buffers_is_no_contradiction(damaged: bytes) ->
     assert [type(m) for m in session.receive(b"ok\r\n" + report * 3, 0.4)] == [Acknowledged] + [Report] * 3
 
 
-def test_a_missing_answer_is_noticed_only_while_the_board_is_idle() -> None:
+@pytest.mark.parametrize(("line", "after"), [("X1G1", 2), ("G4P3", 30)])
+def test_a_missing_answer_is_noticed_only_while_the_board_is_idle(line: str, after: int) -> None:
+    """A dwell may last; any other line has been answered by a board that rests."""
     session = started()
-    session.queue("G1X1F100", answer_within_s=3.0)
+    session.queue(line, answer_within_s=3.0)
     session.output(0.0)
     hold, idle = b"<Hold:0|MPos:0,0,0|FS:0,0>\r\n", b"<Idle|MPos:0,0,0|FS:0,0>\r\n"
     for k in range(1000):
         assert [type(m) for m in session.receive(hold, 0.1 * k)] == [Report]
     late = [type(m) for k in range(40) for m in session.receive(idle, 100.0 + 0.1 * k)]
-    assert CountBroken in late and late.index(CountBroken) > 30
+    assert after <= late.index(CountBroken) <= after + 2
 
 
 def test_work_positions_become_machine_positions_with_the_last_offset() -> None:

@@ -15,7 +15,9 @@ import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
+from gantry_driver.core.program.arcs import Arc
 from gantry_driver.core.session import MAX_LINE_BYTES, plain
+from gantry_driver.core.wire.polyline import Polyline
 
 Vector = tuple[float, float, float]
 
@@ -62,8 +64,6 @@ _PLANES = {"G17": (0, 1, 2), "G18": (2, 0, 1), "G19": (1, 2, 0)}
 _REALTIME = frozenset("?!~\x18")
 _ROUNDING_MM = 1e-6
 """What sums and the sixth decimal of a line may add to a target; a board allows nothing beyond its travel."""
-_NO_TURN = 5e-7
-"""Radians of an arc up to which GRBL goes once more around."""
 
 
 class GcodeError(ValueError):
@@ -81,6 +81,8 @@ class CheckedLine:
     number: int
     text: str
     seconds: float
+    along_mm: float
+    """Distance along the program's path at its end."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -129,6 +131,8 @@ class ProgramChecker:
         Work offsets by coordinate system, as ``$#`` prints them; a system that is not here may not be chosen.
     kept_g92
         Whether a part of them may be a G92 from before, which G92.1 would cancel.
+    axes
+        Number of axes that the board's reports show.
     """
 
     def __init__(
@@ -138,9 +142,12 @@ class ProgramChecker:
         offsets_mm: Mapping[str, Vector] | None = None,
         *,
         kept_g92: bool = False,
+        axes: int = 3,
     ) -> None:
         self._bounds = bounds
         self._at = [float(v) for v in start_mm[:3]]
+        self.path = Polyline(self._at, axes)
+        """The path of the lines checked so far."""
         self._offsets = dict(offsets_mm or {"G54": (0.0, 0.0, 0.0)})
         self._kept_g92 = kept_g92
         self.begins = (self.position_mm, dict(self._offsets), kept_g92)
@@ -183,7 +190,9 @@ class ProgramChecker:
         text = self._written(words, feed)
         if len(text) + 1 > MAX_LINE_BYTES:
             raise self._error(MAX_LINE_BYTES, f"{len(text) + 1} bytes with the newline, {MAX_LINE_BYTES} can be sent")
-        return CheckedLine(number=self._number, text=text, seconds=seconds) if text else None
+        if not text:
+            return None
+        return CheckedLine(number=self._number, text=text, seconds=seconds, along_mm=self.path.length_mm)
 
     def _written(self, words: list[_Word], feed: float) -> str:
         """Return the line for the board; ``feed`` is in mm/min, 0 where nothing moves."""
@@ -378,12 +387,15 @@ class ProgramChecker:
             else:
                 target[axis] = value + self._offsets[modes.system][axis] + modes.shift[axis]
         if modes.motion in ("G2", "G3"):
-            length, extremes = self._arc(target, values, axes)
+            arc = self._arc(target, values, axes)
+            length, extremes, way = arc.length, arc.extremes(), arc.chords()
         else:
-            length, extremes = math.dist(self._at, target), [target]
+            length, extremes, way = math.dist(self._at, target), [target], [target]
         for point in extremes:
             self._inside(point, values, axes)
         seconds, feed = self._pace(length, target)
+        for point in way:
+            self.path.append(point, feed)
         self._at = target
         return seconds, feed
 
@@ -410,29 +422,15 @@ class ProgramChecker:
             return 60.0 / modes.feed, max(length * modes.feed, 1.0)
         return 60.0 * length / modes.feed, modes.feed
 
-    def _arc(self, target: list[float], values: dict[str, _Word], axes: list[_Word]) -> tuple[float, list[list[float]]]:
-        """Return the arc's length and the points where it reaches furthest along its plane's axes."""
+    def _arc(self, target: list[float], values: dict[str, _Word], axes: list[_Word]) -> Arc:
         modes = self._modes
-        a, b, normal = _PLANES[modes.plane]
+        a, b, _ = plane = _PLANES[modes.plane]
         if "XYZ"[a] not in values and "XYZ"[b] not in values:
             raise self._error(axes[0].column, "an arc needs an axis word of its plane (error:26)")
         clockwise = modes.motion == "G2"
         start, end = (self._at[a], self._at[b]), (target[a], target[b])
         centre = self._centre(start, end, clockwise, a, b, values, axes)
-        radius = math.dist(start, centre)
-        begin = math.atan2(start[1] - centre[1], start[0] - centre[0])
-        sweep = math.atan2(end[1] - centre[1], end[0] - centre[0]) - begin
-        sweep = -sweep % math.tau if clockwise else sweep % math.tau
-        sweep += math.tau if sweep <= _NO_TURN else 0.0
-        sweep = -sweep if clockwise else sweep
-        extremes = [target]
-        for quarter in range(-8, 9):
-            angle = quarter * math.pi / 2
-            if min(begin, begin + sweep) < angle < max(begin, begin + sweep):
-                point = list(target)
-                point[a], point[b] = centre[0] + radius * math.cos(angle), centre[1] + radius * math.sin(angle)
-                extremes.append(point)
-        return math.hypot(radius * sweep, target[normal] - self._at[normal]), extremes
+        return Arc(start=self._at, end=target, plane=plane, centre=centre, clockwise=clockwise)
 
     def _centre(
         self,

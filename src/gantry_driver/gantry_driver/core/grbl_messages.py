@@ -170,7 +170,7 @@ _MARLIN = re.compile(r"(?:echo:)?\s*Marlin\s+([\w.-]+)")
 _SETTING = re.compile(r"\$(\d{1,4})=([^\s()]*)")
 _STARTUP = re.compile(r"(\$(?:N\d|/macros/\w+))=(.*)\Z")
 _FEEDBACK = re.compile(r"\[([A-Za-z][A-Za-z0-9]*):(.*)\]\Z")
-_NUMBER = re.compile(r"-?\d{1,7}(\.\d{1,4})?\Z")
+_NUMBERS = re.compile(r"-?\d{1,7}(\.\d{1,4})?(,-?\d{1,7}(\.\d{1,4})?)*\Z")
 _STATES = {"Idle", "Run", "Hold", "Jog", "Alarm", "Door", "Check", "Home", "Sleep", "Tool"}
 
 
@@ -235,10 +235,9 @@ def _feedback(key: str, value: str) -> Message:
 
 def _numbers(text: str, least: int) -> tuple[float, ...] | None:
     """Return the numbers of a field, None if one is not written as boards write it: no exponent, no plus, no blank."""
-    parts = text.split(",")
-    if len(parts) < least or not all(_NUMBER.match(part) for part in parts):
+    if text.count(",") + 1 < least or not _NUMBERS.match(text):
         return None
-    return tuple(float(part) for part in parts)
+    return tuple(map(float, text.split(",")))
 
 
 def _report(text: str) -> Report | None:

@@ -197,7 +197,7 @@ class Machine(Streaming):
         elif isinstance(message, Firmware):
             self._on_firmware(message, now)
         elif isinstance(message, Feedback) and message.key == "GC":
-            if self._goal is not None:
+            if self._goal is not None and self.session.answers_number == self._goal.confirm_line:
                 self._goal.modes_text = message.text
         elif isinstance(message, Feedback) and message.key == "MSG" and "reset to continue" in message.text.lower():
             self._reset_not_before = now
@@ -339,7 +339,7 @@ class Machine(Streaming):
             self.session.poll_now()
             return
         if report.overrides_percent is not None:
-            self._set_overrides_back(*report.overrides_percent)
+            self._set_overrides_back(now, *report.overrides_percent)
         if self._leaves_path(report, now):
             self.counts.disbelieved += 1
             return

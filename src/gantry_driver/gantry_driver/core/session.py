@@ -16,6 +16,7 @@ from gantry_driver.core.grbl_messages import (
     Banner,
     BuildOptions,
     ErrorAnswer,
+    Feedback,
     Garbage,
     LineReader,
     Message,
@@ -24,6 +25,7 @@ from gantry_driver.core.grbl_messages import (
     parse_line,
 )
 from gantry_driver.core.wire.buffers import BoardBuffers
+from gantry_driver.core.wire.contradictions import OUT_OF_TURN, Contradictions
 from gantry_driver.core.wire.lines import (
     MAX_LINE_BYTES,
     Acknowledged,
@@ -33,9 +35,9 @@ from gantry_driver.core.wire.lines import (
     Refused,
     StrayAnswer,
     WasReset,
-    answers_missing,
     plain,
 )
+from gantry_driver.core.wire.modes import ASK_MODES
 
 __all__ = [
     "MAX_LINE_BYTES",
@@ -77,9 +79,6 @@ REPORTS_APART_S = 1.0
 
 QUESTIONS = 6
 """Maximum number of open report requests (three polls of two); beyond it the oldest one, or its report, was lost."""
-MISSING_REPORTS = SURPLUS_REPORTS = 2
-"""Reports in a row that must show an answer too few, or too many: one report may be damaged."""
-LOST_LINE = "the board has taken lines that it has not answered: a line or its answer was lost on the wire"
 
 
 class GrblSession:
@@ -106,8 +105,7 @@ class GrblSession:
         self._number = 0
         self._buffers = BoardBuffers()
         self._rx_empty = -1
-        self._surplus_reports = 0
-        """Reports in a row by which the board holds more bytes than are under way."""
+        self._contradictions = Contradictions()
         self._quiet_until = 0.0
         self._next_poll = 0.0
         self._reset_at = 0.0
@@ -117,12 +115,13 @@ class GrblSession:
         """Whether the last two reports with a work offset agree."""
         self.wco_mm: tuple[float, ...] | None = None
         """The work offset that the board has reported since its reset: its memory's G54 and what was added."""
-        self._unanswered_since: float | None = None
         self._roomy_reports = 0
         self._asked: deque[float] = deque()
         """When the reports were asked for that have not come."""
         self.report_asked_at = 0.0
         """When the last report was asked for: it was made after that, however late it came."""
+        self.blocks_waiting = -1
+        """Largest number of blocks in the planner by the last report, -1 for unknown."""
         self.last_report_at: float | None = None
         self.unread_report = b""
         """The last report that could not be read, if none could be read after it."""
@@ -134,8 +133,6 @@ class GrblSession:
         self.polls_spared = True
         """Whether reports may be rarer while the wire is the limit."""
         self.paused = False
-        self._short_reports = 0
-        """Reports in a row of a board that has taken lines which it has not answered."""
 
     def start(self, now: float) -> None:
         """Begin anew on a freshly opened port; queued lines are dropped and counted as lost where they were sent."""
@@ -149,7 +146,7 @@ class GrblSession:
         self.rx_bytes = DEFAULT_RX_BYTES
         self._planner_blocks = 0
         self._buffers, self._rx_empty = BoardBuffers(), -1
-        self._surplus_reports = 0
+        self._contradictions.clear()
         self.last_report_at, self.unread_report, self.unplaced_reports = None, b"", 0
         self._asked.clear()
         self.wco_mm, self.wco_is_sure = None, False
@@ -159,6 +156,21 @@ class GrblSession:
     def pending(self) -> int:
         """Lines queued or under way."""
         return len(self._queue) + len(self._in_flight)
+
+    @property
+    def sent_number(self) -> int:
+        """Number of the last line that was sent."""
+        return self._number - len(self._queue)
+
+    @property
+    def tells_buffers(self) -> bool:
+        """Whether reports say how full the board's buffers are."""
+        return self._buffers.reported
+
+    @property
+    def answers_number(self) -> int:
+        """Number of the line that the board works on by its answers, 0 for none."""
+        return self._in_flight[0][0].number if self._in_flight else 0
 
     @property
     def unsent(self) -> int:
@@ -232,6 +244,9 @@ class GrblSession:
                 self.unread_report = message.raw
         elif isinstance(message, Alarm):
             self.counts.alarms += 1
+        elif isinstance(message, Feedback) and message.key == "GC":
+            asked = not self._in_flight or self._in_flight[0][0].text == ASK_MODES
+            return [message] if asked or self.awaiting_banner else [message, CountBroken(reason=OUT_OF_TURN)]
         elif isinstance(message, BuildOptions):
             self.rx_bytes = message.rx_bytes or DEFAULT_RX_BYTES
             self._planner_blocks = message.planner_blocks
@@ -244,7 +259,7 @@ class GrblSession:
             return [StrayAnswer(answer=answer)]
         line, sent_at = self._in_flight.popleft()
         self._in_flight_bytes -= line.size
-        self._unanswered_since = None
+        self._contradictions.answered()
         self.latency_s = now - sent_at
         if line.eeprom:
             self._quiet_until = now + EEPROM_PAUSE_S
@@ -259,7 +274,7 @@ class GrblSession:
         before, self.last_report_at, self.unread_report = self.last_report_at, now, b""
         self.report_asked_at = self._asked.popleft() if self._asked else now
         if before is None or now - before > self.poll_interval_s + REPORTS_APART_S:
-            self._unanswered_since = None
+            self._contradictions.answered()
         events: list[Message] = []
         if report.wco_mm is not None:
             self.wco_is_sure = self.wco_mm == report.wco_mm
@@ -276,52 +291,20 @@ class GrblSession:
             self._roomy_reports = 0
         elif not (self._in_flight and self._in_flight[-1][0].alone):  # while one goes alone, it is the limit
             self._roomy_reports += 1
-        # A line makes at least no block and each block in the planner waits, so this never counts too many; where a
-        # board does not report its planner ($10=1), it may be full.
+        # A line that moves makes at least one block, and each block in the planner waits; where a board does not report
+        # its planner ($10=1), it may be full.
+        self.blocks_waiting = self._planner_blocks or -1
         if report.planner_free >= 0:
-            self._executed(self.counts.acknowledged - self._buffers.planner.held(report.planner_free))
-        elif self._planner_blocks:
-            self._executed(self.counts.acknowledged - self._planner_blocks)
-        broken = self._contradiction(report, now)
+            self.blocks_waiting = self._buffers.planner.held(report.planner_free)
+        if self.blocks_waiting >= 0:
+            self._executed(self.counts.acknowledged - self.blocks_waiting)
+        broken = ""
+        if not self.awaiting_banner:
+            broken = self._contradictions.find(report, self._buffers, self._in_flight, self._in_flight_bytes, now)
         events.append(report)
         if broken:
             events.append(CountBroken(reason=broken))
         return events
-
-    def _contradiction(self, report: Report, now: float) -> str:
-        if self.awaiting_banner:
-            return ""
-        held = self._buffers.rx.held(report.rx_free)
-        surplus = report.rx_free >= 0 and held > self._in_flight_bytes
-        self._surplus_reports = self._surplus_reports + 1 if surplus else 0
-        if self._surplus_reports == SURPLUS_REPORTS:
-            self._surplus_reports = 0
-            return (
-                f"the board holds {held} bytes, {self._in_flight_bytes} are under way: "
-                "an answer came that belongs to no line"
-            )
-        self._short_reports = self._short_reports + 1 if self._lacks_answers(report, now) else 0
-        if self._short_reports == MISSING_REPORTS:
-            self._short_reports = 0
-            return LOST_LINE
-        if report.state not in ("Idle", "Check", "Alarm") or not self._in_flight:
-            self._unanswered_since = None
-            return ""
-        # An idle board with an unanswered line: its dwell, or line or answer are lost; a locked one answers at once.
-        # Only such time counts, so that nothing runs out during a hold.
-        if self._unanswered_since is None:
-            self._unanswered_since = now
-        line = self._in_flight[0][0]
-        if now - self._unanswered_since > line.answer_within_s:
-            return f"no answer to {line.text!r} within {line.answer_within_s:g} s although the board is at rest"
-        return ""
-
-    def _lacks_answers(self, report: Report, now: float) -> bool:
-        known = min(report.rx_free, report.planner_free) >= 0 and report.rx_free <= self._buffers.rx.size
-        if not known or report.state not in ("Idle", "Run"):
-            return False
-        held = self._buffers.rx.held(report.rx_free)
-        return answers_missing(self._in_flight, held, now, idle=report.state == "Idle", full=report.planner_free <= 1)
 
     def _banner(self, banner: Banner, now: float) -> list[Message]:
         # A board that was held up answers the reset and its retry, one after the other.
@@ -335,7 +318,7 @@ class GrblSession:
         self.paused = False
         self.wco_mm, self.wco_is_sure = None, False
         self._buffers, self._rx_empty = BoardBuffers(), -1
-        self._surplus_reports = 0
+        self._contradictions.clear()
         self.last_report_at = now
         self._asked.clear()
         return [WasReset(banner=banner, expected=expected, lost=lost, unsent=unsent)]
@@ -350,7 +333,7 @@ class GrblSession:
         self.counts.lost += len(lost)
         self._in_flight.clear()
         self._in_flight_bytes = 0
-        self._unanswered_since = None
+        self._contradictions.answered()
         return lost, self._drop_queue()
 
     def executed_all(self) -> None:

@@ -13,10 +13,10 @@ from gantry_driver.core.gcode_check import Bounds, CheckedLine, GcodeError, Prog
 from gantry_driver.core.grbl_messages import Dialect, Report
 from gantry_driver.core.machine_config import DriverConfig
 from gantry_driver.core.machine_states import Phase
+from gantry_driver.core.program.marks import LineMarks
 from gantry_driver.core.session import HOLD, RESUME
 from gantry_driver.core.stopping import LOCKED
 from gantry_driver.core.trajectory_gcode import (
-    SYNCHRONISE,
     TrajectoryError,
     Waypoint,
     mpos_mm,
@@ -25,8 +25,10 @@ from gantry_driver.core.trajectory_gcode import (
     write_motion,
 )
 from gantry_driver.core.wire.goal import Goal
+from gantry_driver.core.wire.lines import SYNCHRONISE
 from gantry_driver.core.wire.proof import Proving, three
-from gantry_driver.core.wire.stages import LINE_S, SURPLUS_S, Send, make_script
+from gantry_driver.core.wire.stages import DOWN_MM, LINE_S, SURPLUS_S, Send, depth_mm, make_script
+from gantry_driver.core.wire.watch import PathWatch
 from icu_common.core.admission.rivals import RivalTopics
 from icu_common.core.delays import Delay, ResultCode
 from icu_common.core.results import GoalResult, Outcome
@@ -174,7 +176,9 @@ class Streaming(Proving):
         # At its end an axis reports the motor step that is nearest, which may lie beyond it.
         start = three([i if abs(i - place) < step else place for i, place, step in zip(inside, start, steps_mm)])
         kept_g92 = self.dialect is not Dialect.GRBL if self._has_g92 is None else self._has_g92
-        return ProgramChecker(bounds, start, {"G54": three(self.session.wco_mm[:3])}, kept_g92=kept_g92)
+        return ProgramChecker(
+            bounds, start, {"G54": three(self.session.wco_mm[:3])}, kept_g92=kept_g92, axes=self._axes
+        )
 
     def run_checked(
         self, goal_id: str, checker: ProgramChecker, checked: Sequence[CheckedLine], now: float
@@ -191,10 +195,19 @@ class Streaming(Proving):
         end = reading_m(checker.position_mm, False, self.config)
         # The checker begins with these modes; the board may have been left with others.
         modes = (Send(text=mode) for mode in (*self._limp_lift(), *PROGRAM_MODES))
-        lines = (Send(text=line.text, dwell_s=line.seconds) for line in checked)
-        items = chain(modes, lines, [Send(text=SYNCHRONISE)])
-        limit_s = 2.0 * (checker.seconds + LINE_S * len(checked)) + SURPLUS_S
-        return self._start(Goal(goal_id=goal_id, text=text, end_m=end, started=now, items=items, limit_s=limit_s), now)
+        lines = (Send(text=line.text, dwell_s=line.seconds, along_mm=line.along_mm) for line in checked)
+        goal = Goal(
+            goal_id=goal_id,
+            text=text,
+            end_m=end,
+            started=now,
+            items=chain(modes, lines, [Send(text=SYNCHRONISE)]),
+            limit_s=2.0 * (checker.seconds + LINE_S * len(checked)) + SURPLUS_S,
+            touching=self._axes == 3 and max(depth_mm(p, self.config) for p in checker.path.points) > DOWN_MM,
+            watch=PathWatch(checker.path, now),
+            marks=LineMarks(),
+        )
+        return self._start(goal, now)
 
     def bounds(self) -> Bounds:
         """Return the travel in machine coordinates and the rates of rapid moves."""

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 from gantry_driver.core.machine_config import DriverConfig
 from gantry_driver.core.session import plain
+from gantry_driver.core.wire.lines import SYNCHRONISE
 from icu_common.core.frames import JOINTS
 
 _M_WORD, _S_WORD = re.compile(r"M(\d+)"), re.compile(r"S([\d.]+)")
@@ -23,8 +24,6 @@ MODES = "G21G90G94"
 """Millimetres, absolute, feed per minute: a start-up block on the board may have chosen others."""
 SAME_FEED = 0.005
 """Relative change of speed that is rounding of positions and times, and not worth a line that must wait for answers."""
-SYNCHRONISE = "G4P0"
-"""Answered only when the planner is empty (measured on 1.1h)."""
 
 
 class TrajectoryError(ValueError):

@@ -84,6 +84,8 @@ class Mechanics:
 
     def follow(self, commanded: Triple) -> None:
         """Turn the motors by what the board's counters have moved; an axis at its hard end stalls."""
+        if commanded == self.commanded:
+            return
         for i in range(3):
             target = self.motor[i] + commanded[i] - self.commanded[i]
             self.motor[i] = min(max(target, self.low[i]), self.high[i])

@@ -39,6 +39,11 @@ class BoardBuffers:
     planner: Buffer = field(default_factory=Buffer)
     rx: Buffer = field(default_factory=Buffer)
 
+    @property
+    def reported(self) -> bool:
+        """Whether reports have said how full they are (``Bf:``)."""
+        return self.rx.size >= 0
+
     def note(self, report: Report, *, in_flight: bool) -> None:
         """Take the next report; ``in_flight``: whether lines are sent and not answered."""
         empty = report.state == "Idle" and not in_flight

@@ -7,6 +7,7 @@ from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
+from gantry_driver.core.program.marks import LineMarks
 from gantry_driver.core.wire.stages import Confirm, Item, Stage
 from gantry_driver.core.wire.watch import Deviation, PathWatch
 
@@ -24,7 +25,7 @@ class Goal:
     end_m
         Readings at the end, m.
     stages
-        Those that have not begun; a program has none, for its path is not known here.
+        Those that have not begun; a program has none.
     items
         What is still to be sent of the present stage; a long program is walked through while it runs.
     origin_mm
@@ -46,9 +47,13 @@ class Goal:
     limit_s: float = math.inf
     touching: bool = False
     watch: PathWatch | None = None
+    marks: LineMarks | None = None
+    """Where the lines of a program end; a goal's stages are short and need none."""
     sent_all: bool = False
     """Whether every line of the present stage is queued."""
     last_line: int = 0
+    unasked: int = 0
+    """Lines since the last ``$G`` that was sent between them."""
     feed: str = ""
     confirming: Confirm | None = None
     confirm_line: int = 0

@@ -7,9 +7,12 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from gantry_driver.core.grbl_messages import Banner, Message
+from gantry_driver.core.wire.modes import ASK_MODES
 
 MAX_LINE_BYTES = 80
 """Newline included; GRBL answers error:11 to longer ones."""
+SYNCHRONISE = "G4P0"
+"""A dwell of no time: it is answered when all motion has ended."""
 ARRIVED_S = 0.3
 """Age from which a line must be in the board's buffer, on a busy computer and behind a slow adapter as well."""
 _WAITS = re.compile(r"[$M]|G0*(?:4|10|43|49|5[4-9]|92)(?!\d)", re.IGNORECASE)
@@ -48,7 +51,7 @@ class Line:
     def of(cls, number: int, text: str, answer_within_s: float) -> Line:
         """Return the line with what its text says about it; asked once, not at every turn of the link."""
         eeprom = _EEPROM.search(text) is not None
-        alone = eeprom or _ACTS.search(text) is not None
+        alone = eeprom or (_ACTS.search(text) is not None and text != ASK_MODES)
         return cls(number=number, text=text, answer_within_s=answer_within_s, eeprom=eeprom, alone=alone)
 
     @property
@@ -153,5 +156,5 @@ def answers_missing(
     missing = sum(line.size for line in arrived) - held_bytes
     if missing <= 0:
         return False
-    waits = arrived[0].waits and not (idle and arrived[0].text == "G4P0")
+    waits = arrived[0].waits and not (idle and arrived[0].text == SYNCHRONISE)
     return missing > (max(line.size for line in arrived) if waits or full else 0)

@@ -6,6 +6,7 @@ import re
 from dataclasses import dataclass
 
 ASK_MODES = "$G"
+"""Obeyed at any time without effect, and answered in its turn by a text of its own."""
 _FEED = re.compile(r"F(\d+(?:\.\d*)?)\Z")
 _SPINDLE = re.compile(r"S(\d+(?:\.\d*)?)\Z")
 

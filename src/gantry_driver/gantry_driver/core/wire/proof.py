@@ -31,6 +31,9 @@ FRAME_MM = 0.02
 """Largest difference between the frame and the reported one: a motor step, for lines end between two of them."""
 SEEN_S = 1.0
 """Maximum age of a message that the stylus was seen off the panel."""
+ASK_EVERY = 20
+"""Lines after which ``$G`` is sent to a board that does not report its buffers: answered out of turn, it shows that an
+answer before it is missing."""
 QUEUED_LINES = 600
 """Of a goal, ahead of the board: more than the shortest lines that any receive buffer holds."""
 
@@ -46,6 +49,11 @@ class Proving(Stopping):
         """The last line queued that moves a stylus without a Z axis."""
         self._has_g92: bool | None = None
         """Whether a G92 is in force; None after a reset, which only some firmwares keep it over."""
+
+    @property
+    def _axes(self) -> int:
+        """Number of axes that reports show: where another stylus is no board tells."""
+        return 3 if self.config.stylus.kind == "z_axis" else 2
 
     def output(self, now: float) -> bytes:
         """Return the bytes to write."""
@@ -68,6 +76,9 @@ class Proving(Stopping):
     def _queue_more(self, goal: Goal) -> None:
         """Queue lines up to a limit, so that a long program starts at once."""
         while not (goal.sent_all or goal.confirming) and self.session.unsent < QUEUED_LINES:
+            if goal.unasked >= ASK_EVERY and not self.session.tells_buffers:
+                goal.unasked = 0
+                self._queue_line(goal, ASK_MODES, 0.0)
             item = next(goal.items, None)
             if item is None:
                 goal.sent_all = True
@@ -77,6 +88,9 @@ class Proving(Stopping):
                 self._queue_confirm(goal, item)
             else:
                 self._queue_line(goal, item.text, item.dwell_s)
+                goal.unasked += 1
+                if goal.marks is not None and item.along_mm is not None:
+                    goal.marks.append(goal.last_line, item.along_mm)
 
     def _queue_confirm(self, goal: Goal, item: Confirm) -> None:
         for text in item.lines:
@@ -109,8 +123,7 @@ class Proving(Stopping):
         goal.items = stage.items(self._frame_mm, goal.feed, self.config)
         goal.sent_all, goal.elsewhere_at = False, math.inf
         if stage.start_mm is not None:
-            axes = 3 if self.config.stylus.kind == "z_axis" else 2
-            goal.watch = PathWatch(stage.start_mm, stage.segments(), axes, now)
+            goal.watch = PathWatch.along(stage.start_mm, stage.segments(), self._axes, now)
 
     def _stage_sent(self, goal: Goal) -> bool:
         return goal.sent_all and goal.confirming is None and goal.last_line <= self._acked
@@ -156,6 +169,9 @@ class Proving(Stopping):
         goal = self._goal
         if goal is None or goal.watch is None or report.mpos_mm is None or self.phase is not Phase.MOVING:
             return False
+        if goal.marks is not None:
+            executed_mm = goal.marks.executed_mm(self._acked, self.session.blocks_waiting)
+            goal.watch.bound(executed_mm, goal.marks.along_mm(self.session.sent_number))
         raised = max(100.0, self._feed_percent) / 100.0  # max() returns 100 if the other is NaN
         deviation = goal.watch.check(
             report.mpos_mm, (report.feed_mm_min or 0.0) / raised, now, self.session.report_asked_at
@@ -198,8 +214,7 @@ class Proving(Stopping):
         if here is None or report.mpos_mm is None:
             return
         tolerance_m = max(self.config.arrival_tolerance_m, self.config.rounding_m())
-        axes = 3 if self.config.stylus.kind == "z_axis" else 2  # where another stylus is no board tells
-        error_m = math.dist(goal.end_m[:axes], here[:axes])
+        error_m = math.dist(goal.end_m[: self._axes], here[: self._axes])
         if goal.stages and goal.watch is not None:
             error_m = goal.watch.off_end_mm(report.mpos_mm) / 1000.0
         if error_m > tolerance_m:
@@ -265,16 +280,19 @@ class Proving(Stopping):
             abs(now_mm - was_mm) <= SAME_PLACE_MM + rate * way_s / 60.0
             for now_mm, was_mm, rate in zip(place, before, machine.max_rate_mm_min)
         )
-        axes = 3 if self.config.stylus.kind == "z_axis" else 2
-        inside = all(-t - BEYOND_MM <= p <= BEYOND_MM for p, t in zip(place[:axes], machine.travel_mm))
+        inside = all(-t - BEYOND_MM <= p <= BEYOND_MM for p, t in zip(place[: self._axes], machine.travel_mm))
         return near and inside and len(place) == len(before)
 
-    def _set_overrides_back(self, feed: float, _rapid: float, spindle: float) -> None:
+    def _set_overrides_back(self, now: float, feed: float, _rapid: float, spindle: float) -> None:
         """End what a pendant has raised: no touch is faster, and no servo elsewhere, than it is configured.
 
         A lower override stays: an operator may slow the machine down.
         """
+        rises = feed > self._feed_percent > 100.0
         self._feed_percent = feed
+        if rises and self.phase is Phase.MOVING:
+            # What is to set it back arrives as something else, each time.
+            self._halt(f"the board's feed override rises to {feed:g} % although it is set back", now)
         if self._goal is not None:
             self._goal.slowest_percent = min(self._goal.slowest_percent, feed)
         raised = feed > 100.0 or (spindle != 100.0 and self._is_servo())

@@ -26,13 +26,13 @@ from gantry_driver.core.stylus_state import STYLUS_DOWN_M
 from gantry_driver.core.trajectory_gcode import (
     MODES,
     SAME_FEED,
-    SYNCHRONISE,
     Motion,
     Move,
     Order,
     stylus_dwell,
     stylus_lines,
 )
+from gantry_driver.core.wire.lines import SYNCHRONISE
 from gantry_driver.core.wire.modes import ASK_MODES, Modes
 from gantry_driver.core.wire.watch import Segment, Vector
 
@@ -53,10 +53,11 @@ _SAME_MM = 0.01
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Send:
-    """A line, and the seconds that its dwell may take."""
+    """A line, the seconds that its dwell may take, and how far along a program's path it ends."""
 
     text: str
     dwell_s: float = 0.0
+    along_mm: float | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -78,7 +79,7 @@ class Stage:
     Parameters
     ----------
     start_mm, end_mm
-        Machine positions in mm; None where the lines are a program, whose path is not known here.
+        Machine positions in mm; None where the lines are a program, which has one path for all of them.
     parts
         Its moves, and the orders of a stylus without a Z axis.
     touching
@@ -204,12 +205,12 @@ def make_script(
     origin = None
     if z_axis and first is not None:
         places = [motion.start_mm, *(move.end_mm for move in motion.moves)]
-        deepest = max(places, key=lambda place: _depth_mm(place, config))[2]
+        deepest = max(places, key=lambda place: depth_mm(place, config))[2]
         origin = frame_origin(deepest, config) if framed else None
         first = _prepare(stages, first, origin, frame_mm, config)
     if first != 0 and not stages[0].head:
         stages[0].head.append(Send(text=MODES))
-    if origin is not None and _depth_mm(motion.end_mm, config) <= DOWN_MM:
+    if origin is not None and depth_mm(motion.end_mm, config) <= DOWN_MM:
         stages[-1].tail.append(Send(text=CLEAR_FRAME))
     stages[-1].tail.append(Send(text=SYNCHRONISE))
     return Script(stages=stages, origin_mm=origin, limit_s=_limit_s(motion, stages, config))
@@ -250,12 +251,13 @@ def _only_rises(stage: Stage) -> bool:
     return all(m.start_mm[:2] == m.end_mm[:2] and m.end_mm[2] >= m.start_mm[2] for m in stage.moves)
 
 
-def _depth_mm(place: Sequence[float], config: DriverConfig) -> float:
+def depth_mm(place: Sequence[float], config: DriverConfig) -> float:
+    """Return how far the stylus is extended at a machine position."""
     return (place[2] - config.machine.homed_mpos_mm()[2]) * config.machine.sign(2)
 
 
 def _direction(move: Move, config: DriverConfig) -> int:
-    change = _depth_mm(move.end_mm, config) - _depth_mm(move.start_mm, config)
+    change = depth_mm(move.end_mm, config) - depth_mm(move.start_mm, config)
     return 0 if abs(change) < 5e-4 else (1 if change > 0 else -1)
 
 
@@ -291,7 +293,7 @@ def _z_stages(motion: Motion, config: DriverConfig, framed: bool) -> list[Stage]
     stages, begin = [], 0
     for end in sorted(ends) if moves else ():
         part = moves[begin : end + 1]
-        down = any(_depth_mm(p, config) > DOWN_MM for m in part for p in (m.start_mm, m.end_mm))
+        down = any(depth_mm(p, config) > DOWN_MM for m in part for p in (m.start_mm, m.end_mm))
         stages.append(Stage(start_mm=part[0].start_mm, end_mm=part[-1].end_mm, parts=[*part], touching=down))
         begin = end + 1
     return stages
@@ -299,11 +301,11 @@ def _z_stages(motion: Motion, config: DriverConfig, framed: bool) -> list[Stage]
 
 def _go_down(run: Sequence[Move], moves: list[Move], ends: set[int], config: DriverConfig) -> None:
     """Append the moves of one way down, cut where it is ``clearance_m`` above its end."""
-    stop = _depth_mm(run[-1].end_mm, config) - 1000.0 * config.clearance_m
-    if stop - _depth_mm(run[0].start_mm, config) < DOWN_MM:
+    stop = depth_mm(run[-1].end_mm, config) - 1000.0 * config.clearance_m
+    if stop - depth_mm(run[0].start_mm, config) < DOWN_MM:
         stop = -math.inf  # it begins there
     for move in run:
-        start, end = _depth_mm(move.start_mm, config), _depth_mm(move.end_mm, config)
+        start, end = depth_mm(move.start_mm, config), depth_mm(move.end_mm, config)
         if start < stop <= end:
             share = (stop - start) / (end - start)
             x, y, z = (round(a + share * (b - a), 3) for a, b in zip(move.start_mm, move.end_mm))

@@ -11,6 +11,8 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from gantry_driver.core.wire.polyline import Polyline
+
 Vector = tuple[float, float, float]
 
 TUBE_MM = 0.15
@@ -18,11 +20,14 @@ TUBE_MM = 0.15
 REPORT_LATE_S = 0.1
 """Duration by which the time between two positions may exceed that from the first one's question to the second one's
 report: a question that was lost, and clocks that differ."""
+AMBIGUOUS_MM = 4.0 * TUBE_MM
+"""Length of path from which a report fits more than one place: the path comes back there."""
 EARLY_MM = 0.1
 """Distance by which a report may be ahead of what feed and time allow: rounding, and the tube's ends."""
 FEED_SHARE, FEED_MM_MIN = 1.05, 30.0
 """Factor and surplus of the feed that a report may show beyond the path's: rounding of F words and of reports."""
-_STRAIGHT = 1.0 - 1e-9
+PREPARED_S = 0.1
+"""Longest time by which a board's planner and its reported feed may be ahead of its steps."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -74,39 +79,46 @@ class PathWatch:
 
     Parameters
     ----------
-    start_mm
-        Machine position at the start, mm.
-    segments
-        The moves; empty for a path that stands still.
-    axes
-        Number of axes that reports show, 2 where the stylus is no axis of the board.
+    path
+        Its pieces; none for a path that stands still.
     now
         Time of the start, s.
     """
 
-    def __init__(self, start_mm: Vector, segments: Sequence[Segment], axes: int, now: float) -> None:
-        self._axes = axes
-        self._points: list[tuple[float, ...]] = [start_mm[:axes]]
-        self._ends_mm = [0.0]
-        self._feeds = [0.0]
-        """Of the pieces that end there, mm/min."""
-        self._feed = max((segment.feed_mm_min for segment in segments), default=0.0)
+    def __init__(self, path: Polyline, now: float) -> None:
+        self._path = path
         self._low_mm = self._high_mm = 0.0
+        self._most_mm = math.inf
         self._at = now
         self.early = False
         """Whether the last report on the path came from farther ahead than the board can be: a second one decides."""
-        for segment in segments:
-            self._append(segment)
-        self._end_mm = segments[-1].end_mm if segments else start_mm
 
-    @property
-    def feed_limit_mm_min(self) -> float:
-        """The largest feed that a report may show."""
-        return self._feed * FEED_SHARE + FEED_MM_MIN
+    @classmethod
+    def along(cls, start_mm: Vector, segments: Sequence[Segment], axes: int, now: float) -> PathWatch:
+        """Return the watch of a stage's segments."""
+        path = Polyline(start_mm, axes)
+        for segment in segments:
+            path.append(segment.end_mm, segment.feed_mm_min)
+        return cls(path, now)
+
+    def bound(self, executed_mm: float, sent_mm: float) -> None:
+        """Take how much of the path the board has executed, and what it has been sent.
+
+        A board drops a move from its planner when it has prepared the last of its steps, which is a moment before they
+        are made.
+        """
+        self._low_mm = max(self._low_mm, executed_mm - self._path.highest_feed / 60.0 * PREPARED_S)
+        self._high_mm = max(self._high_mm, self._low_mm)
+        self._most_mm = sent_mm + TUBE_MM
+
+    def feed_limit_mm_min(self, high_mm: float) -> float:
+        """Return the largest feed that a report may show of a board that has come at most so far."""
+        ahead_mm = self._path.highest_feed / 60.0 * PREPARED_S
+        return self._feed_to(high_mm + ahead_mm) * FEED_SHARE + FEED_MM_MIN
 
     def off_end_mm(self, mpos_mm: Sequence[float]) -> float:
         """Return the distance of a position from the path's end, in mm."""
-        return math.dist(mpos_mm[: self._axes], self._end_mm[: self._axes])
+        return math.dist(mpos_mm[: self._path.axes], self._path.end_mm)
 
     def check(
         self, mpos_mm: tuple[float, ...], feed_mm_min: float, now: float, asked_at: float | None = None
@@ -115,12 +127,18 @@ class PathWatch:
 
         The board made it between ``asked_at`` and ``now``; a busy computer may read it late.
         """
-        place = mpos_mm[: self._axes]
-        reach_mm = self._high_mm + self._feed / 60.0 * (now - self._at + REPORT_LATE_S) + TUBE_MM
+        place = mpos_mm[: self._path.axes]
+        reach_mm = self._high_mm + self._path.highest_feed / 60.0 * (now - self._at + REPORT_LATE_S) + TUBE_MM
+        reach_mm = min(reach_mm, self._most_mm)
         low, high = self._matched(place, reach_mm)
-        too_fast = feed_mm_min > self.feed_limit_mm_min
+        limit = self.feed_limit_mm_min(high if low <= high else reach_mm)
+        too_fast = feed_mm_min > limit
         way_mm = self._feed_to(high) / 60.0 * (now - self._at) + EARLY_MM
-        self.early = low <= high and not self.early and low + high > self._low_mm + self._high_mm + 2.0 * way_mm
+        if max(high - low, self._high_mm - self._low_mm) > AMBIGUOUS_MM:  # by the most probable of the places
+            ahead_mm = low - self._high_mm
+        else:
+            ahead_mm = (low + high - self._low_mm - self._high_mm) / 2.0
+        self.early = low <= high and not self.early and ahead_mm > way_mm
         if self.early and not too_fast:
             return None
         if low <= high and not too_fast:
@@ -130,49 +148,27 @@ class PathWatch:
             at_mm=mpos_mm,
             off_mm=0.0 if low <= high else max(self._off_mm(place, reach_mm), TUBE_MM),
             feed_mm_min=feed_mm_min,
-            feed_limit_mm_min=self.feed_limit_mm_min,
+            feed_limit_mm_min=limit,
         )
-
-    def _append(self, segment: Segment) -> None:
-        """Add a move; one that goes straight on lengthens the last, so that a dense path is quickly searched."""
-        start, end = self._points[-1], segment.end_mm[: self._axes]
-        length = math.dist(start, end)
-        if length <= 0.0:
-            return
-        if len(self._points) > 1:
-            before = self._points[-2]
-            old = self._ends_mm[-1] - self._ends_mm[-2]
-            cosine = sum((b - a) * (d - b) for a, b, d in zip(before, start, end)) / (old * length)
-            if cosine > _STRAIGHT and self._feeds[-1] == segment.feed_mm_min:
-                self._points.pop()
-                self._ends_mm.pop()
-                self._feeds.pop()
-                length += old
-        self._points.append(end)
-        self._ends_mm.append(self._ends_mm[-1] + length)
-        self._feeds.append(segment.feed_mm_min)
 
     def _feed_to(self, along_mm: float) -> float:
         """Return the highest feed between where the board was and a place farther along the path."""
-        return max((self._feeds[number] for number in self._pieces(along_mm) if len(self._points) > 1), default=0.0)
+        return max((self._path.feeds[number] for number in self._pieces(along_mm)), default=0.0)
 
     def _pieces(self, reach_mm: float) -> range:
         """Return the numbers of the pieces where the board can be."""
-        ends = self._ends_mm
-        first = next((n for n in range(1, len(ends)) if ends[n] >= self._low_mm - TUBE_MM), len(ends) - 1)
-        last = next((n for n in range(max(first, 1), len(ends)) if ends[n] >= reach_mm), len(ends) - 1)
-        return range(max(first, 1), last + 1)
+        return self._path.pieces(self._low_mm - TUBE_MM, reach_mm)
 
     def _matched(self, place: Sequence[float], reach_mm: float) -> tuple[float, float]:
         """Return the lowest and highest distance along the path at which the tube contains ``place``."""
         low, high = math.inf, -math.inf
-        if len(self._points) == 1:
-            inside = math.dist(place, self._points[0]) <= TUBE_MM
+        if len(self._path.points) == 1:
+            inside = math.dist(place, self._path.points[0]) <= TUBE_MM
             return (0.0, 0.0) if inside else (low, high)
         for number in self._pieces(reach_mm):
-            begin_mm, end_mm = self._ends_mm[number - 1 : number + 1]
+            begin_mm, end_mm = self._path.ends_mm[number - 1 : number + 1]
             length = end_mm - begin_mm
-            start, end = self._points[number - 1 : number + 1]
+            start, end = self._path.points[number - 1 : number + 1]
             unit = [(b - a) / length for a, b in zip(start, end)]
             along = sum((p - a) * u for p, a, u in zip(place, start, unit))
             across_sqr = sum((p - a) ** 2 for p, a in zip(place, start)) - along * along
@@ -190,11 +186,11 @@ class PathWatch:
 
     def _off_mm(self, place: Sequence[float], reach_mm: float) -> float:
         """Return the distance from the part of the path where the board can be."""
-        best = math.dist(place, self._points[0]) if len(self._points) == 1 else math.inf
-        for number in self._pieces(reach_mm) if len(self._points) > 1 else ():
-            begin_mm, end_mm = self._ends_mm[number - 1 : number + 1]
+        best = math.dist(place, self._path.points[0]) if len(self._path.points) == 1 else math.inf
+        for number in self._pieces(reach_mm):
+            begin_mm, end_mm = self._path.ends_mm[number - 1 : number + 1]
             length = end_mm - begin_mm
-            start, end = self._points[number - 1 : number + 1]
+            start, end = self._path.points[number - 1 : number + 1]
             along = sum((p - a) * (b - a) for p, a, b in zip(place, start, end)) / length
             along = min(max(along, self._low_mm - begin_mm, 0.0), length, max(reach_mm - begin_mm, 0.0))
             near = [a + (b - a) * along / length for a, b in zip(start, end)]

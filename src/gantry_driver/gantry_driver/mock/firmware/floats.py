@@ -8,18 +8,20 @@ from __future__ import annotations
 import math
 import re
 import struct
+from functools import lru_cache
 
 MAX_NUMBER = 3.4e38
 """What a number of 32 bits can hold; the firmware's would be infinite beyond."""
 READ_DIGITS = 8
 MAX_PRINTED = 2**31
 """The largest number of units of the last decimal that is printed: a conversion to 32 bits ends there."""
+_SINGLE = struct.Struct("<f")
 _NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)")
 
 
 def float32(value: float) -> float:
     """Return the nearest number of 32 bits, or the largest."""
-    kept: float = struct.unpack("<f", struct.pack("<f", min(max(value, -MAX_NUMBER), MAX_NUMBER)))[0]
+    kept: float = _SINGLE.unpack(_SINGLE.pack(min(max(value, -MAX_NUMBER), MAX_NUMBER)))[0]
     return kept
 
 
@@ -57,6 +59,7 @@ def read_number(text: str, index: int = 0) -> tuple[float, int] | None:
     return -value if match[0][0] == "-" else value, match.end()
 
 
+@lru_cache(maxsize=1024)  # a board at rest prints the same numbers again and again
 def print_number(value: float, decimals: int) -> str:
     """Return a number as it is printed; one that is a little below 0 keeps its sign.
 

@@ -184,13 +184,13 @@ class Interrupts(ABC):
     def _internal_due(self) -> float | None:
         if not self.powered:
             return None
-        times = [self.inbound.due(), self.motion.due()]
-        if self._resume_at is not None:
-            times.append(max(self._resume_at, self._stall_until))
-        elif self._woken:
-            times.append(max(self.now, self._stall_until))
-        known = [t for t in times if t is not None]
-        return min(known) if known else None
+        due, moved = self.inbound.due(), self.motion.due()
+        if due is None or (moved is not None and moved < due):
+            due = moved
+        if self._resume_at is not None or self._woken:
+            woken = max(self.now if self._resume_at is None else self._resume_at, self._stall_until)
+            due = woken if due is None else min(due, woken)
+        return due
 
     def _catch_up(self) -> None:
         """Let the motors stand where the counters are now."""

@@ -19,6 +19,8 @@ Triple = tuple[int, int, int]
 _MIN_RATE_MM_S = 1.0 / 60.0
 _TINY_MM = 1e-9
 _TINY_S = 1e-9
+_FREE = (None, None, None)
+"""No axis's steps are locked."""
 
 
 class MotionEvent(Enum):
@@ -56,13 +58,16 @@ class Block:
     junction_sqr: float
     max_entry_sqr: float = 0.0
     entry_sqr: float = 0.0
-    freeze: tuple[float | None, float | None, float | None] = (None, None, None)
+    freeze: tuple[float | None, float | None, float | None] = _FREE
     """Where along the block (mm) an axis's steps are locked, as in a homing search."""
     trigger: float | None = None
     """Where along the block (mm) something is to happen."""
 
     def position(self, done: float) -> Triple:
         """Return the counters after ``done`` mm of the block."""
+        if self.freeze == _FREE:
+            (x, y, z), (to_x, to_y, to_z), length = self.start, self.steps, self.length
+            return x + round(to_x * done / length), y + round(to_y * done / length), z + round(to_z * done / length)
         ends = [done if stop is None else min(done, stop) for stop in self.freeze]
         x, y, z = (s + round(n * e / self.length) for s, n, e in zip(self.start, self.steps, ends))
         return x, y, z
@@ -266,9 +271,11 @@ class Motion:
             if not over:
                 break
         # At its end a phase is over, however little of it the clock can tell from its start.
-        dt = phase.duration_s if over else max(now - phase.start_s, 0.0)
+        dt = phase.duration_s if over else now - phase.start_s
+        dt = dt if dt > 0.0 else 0.0
         done = phase.done + phase.speed * dt + 0.5 * phase.acceleration * dt * dt
-        return min(done, self.blocks[0].length), max(phase.speed + phase.acceleration * dt, 0.0)
+        speed, length = phase.speed + phase.acceleration * dt, self.blocks[0].length
+        return done if done < length else length, speed if speed > 0.0 else 0.0
 
     def _advance(self, now: float) -> None:
         self._done, self._speed = self._state(now)

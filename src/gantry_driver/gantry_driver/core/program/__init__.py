@@ -1,0 +1,1 @@
+"""G-code programs from files: the path that their lines describe."""
