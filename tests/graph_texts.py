@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 SRC = Path(__file__).resolve().parents[1] / "src"
+FOLDERS = ("core", "wire", "guard", "envelope", "nodes", "adapters")
 PACKAGES = ("gantry_driver", "harris_perception", "icu_common", "scope_ui_bridge")
 
 ONLY_ELSEWHERE = {
@@ -67,7 +68,7 @@ def templates() -> dict[str, str]:
     found: dict[str, str] = {}
     for package in PACKAGES:
         for path in sorted((SRC / package / package).rglob("*.py")):
-            if path.parent.name in ("core", "wire", "guard", "nodes", "adapters") and path.stem not in left_out:
+            if path.parent.name in FOLDERS and path.stem not in left_out:
                 for text in _texts(ast.parse(path.read_text())):
                     found.setdefault(text, str(path.relative_to(SRC)))
     return found

@@ -130,6 +130,7 @@ class VirtualRobot:
             self._act(self._procedure.start(self.now_ns))
             self.until(lambda: self._procedure is None, 240.0)
         else:
+            self._tell(msg.CalibrationSigma(value_m=0.0))
             self._tell(msg.CameraFromBase(transform=self.renderer.rig.rectified_left_from_base()))
             self._tell(msg.Axes(base_from_reading=self.bench.errors.base_from_carriage))
             self.run_for(0.5)
@@ -272,15 +273,21 @@ class VirtualRobot:
         for action in actions:
             match action:
                 case msg.SendTrajectory():
-                    path, goal_id = action.path, str(action.stamp_ns)
+                    path, goal_id, intent = action.path, str(action.stamp_ns), action.intent
                     points = [
                         Waypoint(positions_m=tuple(p), time_s=float(t)) for p, t in zip(path.points, path.times_s)
                     ]
                     self._after(
                         MESSAGE_S,
-                        lambda goal_id=goal_id, points=points: self.driver.run(
-                            goal_id, JOINTS, points, age_s=MESSAGE_S, now=self.now
+                        lambda goal_id=goal_id, points=points, intent=intent: self.driver.run(
+                            goal_id, JOINTS, points, age_s=MESSAGE_S, now=self.now, intent=intent
                         ),
+                    )
+                case msg.ReportPlane():
+                    age_s = (self.now_ns - action.stamp_ns) / 1e9
+                    self._after(
+                        MESSAGE_S,
+                        lambda plane=action.plane, age_s=age_s: self.driver.panel(plane, age_s, self.now),
                     )
                 case msg.PublishResult():
                     self.results.append(action.result)
@@ -299,6 +306,8 @@ class VirtualRobot:
                 self._later(msg.PointGoal(frame=BASE, xyz=xyz, stamp_ns=stamp))
             elif isinstance(action, Finished):
                 self._procedure = None
+                corners = np.array([(x, y, 0.0) for x in (0.03, 0.33) for y in (0.03, 0.18)])
+                self._later(msg.CalibrationSigma(value_m=action.calibration.sigma_m(corners)))
                 self._later(msg.CameraFromBase(transform=action.calibration.camera_from_base))
                 self._later(msg.Axes(base_from_reading=action.calibration.base_from_reading))
             elif isinstance(action, Failed):

@@ -6,11 +6,13 @@ pieces of any size, a port that goes and comes, one that takes no more bytes, a 
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import random
 from collections.abc import Callable, Sequence
 from typing import Any
 
+from gantry_driver.core.envelope.config import EnvelopeConfig
 from gantry_driver.core.machine import Machine
 from gantry_driver.core.machine_config import DriverConfig
 from gantry_driver.core.machine_states import Answered, CloseRequested, Note, StateChanged
@@ -34,7 +36,7 @@ class VirtualRig:
     ) -> None:
         self.mock = make_mock(make_eeprom({}), board=BoardOptions(dialect=dialect), seed=seed)
         self.board = self.mock.board
-        self.machine = Machine(config)
+        self.machine = Machine(dataclasses.replace(config, envelope=EnvelopeConfig(free_space_m=0.2, crossing_m=0.2)))
         self.machine.heartbeat(math.inf)
         self.now = 0.0
         self.states: list[str] = []

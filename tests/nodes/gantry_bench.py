@@ -44,6 +44,8 @@ REMAPS = [
             "panel/alarm": "/panel/alarm",
             "calibration/camera_from_base": "/calibration/camera_from_base",
             "calibration/axes": "/calibration/axes",
+            "calibration/sigma": "/calibration/sigma",
+            "panel/plane": "/panel/plane",
             "stylus/tip": "/stylus/tip",
             "stylus/unseen": "/stylus/unseen",
             "joint_states": "/joint_states",

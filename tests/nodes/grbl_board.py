@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import subprocess
 import sys
@@ -14,6 +15,7 @@ from typing import Any
 from line_socket import BoardSocket
 
 from gantry_driver.adapters.serial_link import SerialLink
+from gantry_driver.core.envelope.config import EnvelopeConfig
 from gantry_driver.core.machine import Machine
 from gantry_driver.core.machine_config import DriverConfig
 from gantry_driver.core.machine_states import Answered, CloseRequested, Event, Note, Position, StateChanged
@@ -85,7 +87,8 @@ class LinkRig:
     """A machine on a serial link, without ROS; everything it says is kept with its time."""
 
     def __init__(self, port: Path | str, config: DriverConfig | None = None) -> None:
-        self.machine = Machine(config or PATIENT)
+        free = EnvelopeConfig(free_space_m=0.2, crossing_m=0.2)  # no test on this rig is about the panel
+        self.machine = Machine(dataclasses.replace(config or PATIENT, envelope=free))
         self.clock: Callable[[], float] = time.monotonic
         self.states: list[tuple[float, str]] = []
         self.results: list[GoalResult] = []

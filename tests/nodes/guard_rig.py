@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from nodes.grbl_board import GrblBoard
-from nodes.test_gantry_driver_node import HOMED, PATIENCE, Operator
+from nodes.test_gantry_driver_node import HOMED, NO_PANEL, PATIENCE, Operator
 
 from gantry_driver.adapters.guard.places import guard_path
 
@@ -38,7 +38,8 @@ class GuardRig:
     def __init__(self, ros: Any, folder: Path, *board: str, **parameters: Any) -> None:
         self.ros, self.folder = ros, folder
         self.board = GrblBoard(folder, *board)
-        self.parameters = {"port": self.board.port, "trajectory_programs": "operator", **PATIENCE, **parameters}
+        fixed = {"port": self.board.port, "trajectory_programs": "operator", **PATIENCE, **NO_PANEL}
+        self.parameters = {**fixed, **parameters}
         self.nodes: list[subprocess.Popen[bytes]] = []
         self.node = self.start()
         self.op = Operator(ros, self.board)

@@ -32,7 +32,7 @@ def test_move_before_calibration(ros: Any) -> None:
     assert {r.goal_id for r in bench.results} == {str(stamp)}
     assert result.error_m < 1e-9 and 0 < result.duration_s < 20
     (trajectory,) = bench.trajectories
-    assert tuple(trajectory.joint_names) == JOINTS and trajectory.header.frame_id == ""
+    assert tuple(trajectory.joint_names) == JOINTS and trajectory.header.frame_id == "move/"
     np.testing.assert_allclose(
         positions(bench)[0], [[0.119, 0.079, 0.0], [0.12, 0.08, 0.0], [0.12, 0.08, 0.01]], atol=1e-12
     )

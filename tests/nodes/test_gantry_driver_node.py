@@ -40,6 +40,8 @@ from icu_common.nodes.qos import COMMAND, LATCHED, RESULTS, SENSOR
 HOMED = (-359.0, -219.0, -1.0)
 # On a busy machine the thread that waits and sends heartbeats, or the board, may be late without anybody being lost.
 PATIENCE = {"heartbeat_timeout_s": 2.0, "goal_max_age_s": 4.0, "status_timeout_s": 10.0, "hold_timeout_s": 10.0}
+# Most tests are about something else than the panel: their whole travel is free space.
+NO_PANEL = {"envelope.free_space_m": 0.06, "envelope.crossing_m": 0.06}
 SLOW_M_S = 0.03
 """Of a way on which the machine is stopped: it must not have ended, be it that who stops it is held up for seconds."""
 
@@ -47,9 +49,9 @@ SLOW_M_S = 0.03
 class Operator:
     """What stands on the other side of the driver's topics."""
 
-    def __init__(self, ros: Any, board: GrblBoard) -> None:
+    def __init__(self, ros: Any, board: GrblBoard, name: str = "operator") -> None:
         self.ros, self.board = ros, board
-        self.node = ros.plain("operator")
+        self.node = ros.plain(name)
         self.states: list[str] = []
         self.results: list[GoalResult] = []
         self.joints: list[JointState] = ros.collect(self.node, JointState, "joint_states", RESULTS)
@@ -113,7 +115,7 @@ def operator(ros: Any, tmp_path: Path) -> Iterator[Callable[..., Operator]]:
     def make(*arguments: str, time_scale: float = 2.0, **parameters: Any) -> Operator:
         board = GrblBoard(tmp_path, *arguments, time_scale=time_scale)
         boards.append(board)
-        values = {"port": str(board.port), "trajectory_programs": "operator", **PATIENCE, **parameters}
+        values = {"port": str(board.port), "trajectory_programs": "operator", **PATIENCE, **NO_PANEL, **parameters}
         ros.node(SerialDriverNode, values)
         return Operator(ros, board)
 
@@ -426,7 +428,7 @@ def test_a_signal_to_end_holds_lifts_and_ends(number: signal.Signals, ros: Any, 
     """SIGHUP is what a terminal leaves behind that is closed, or whose connection is cut."""
     board = GrblBoard(tmp_path)
     command = [sys.executable, "-m", "gantry_driver.nodes.serial_driver_node", "--ros-args"]
-    for name, value in {"port": board.port, "trajectory_programs": "operator", **PATIENCE}.items():
+    for name, value in {"port": board.port, "trajectory_programs": "operator", **PATIENCE, **NO_PANEL}.items():
         command += ["-p", f"{name}:={value}"]
     environment = {**os.environ, "ROS_DOMAIN_ID": str(ros.context.get_domain_id())}
     driver = subprocess.Popen(command, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)

@@ -14,6 +14,7 @@ from nodes.grbl_board import GrblBoard
 from nodes.guard_rig import HOMED, guards_of
 
 from gantry_driver.adapters.guard.client import GuardLink
+from gantry_driver.core.envelope.config import EnvelopeConfig
 from gantry_driver.core.guard.messages import frame
 from gantry_driver.core.machine_config import DriverConfig
 from gantry_driver.core.machine_states import Answered, Event, StateChanged
@@ -34,7 +35,11 @@ class Client:
         self._news = threading.Event()
         self.stop_path = guard_folder() / f"stop_test_{os.getpid()}"
         config = DriverConfig(
-            port=str(self.board.port), enabled_at_start=True, heartbeat_timeout_s=2.0, status_timeout_s=10.0
+            port=str(self.board.port),
+            enabled_at_start=True,
+            heartbeat_timeout_s=2.0,
+            status_timeout_s=10.0,
+            envelope=EnvelopeConfig(free_space_m=0.06, crossing_m=0.06),
         )
         self.link = GuardLink(config, self._collect, stop_path=self.stop_path)
         self.link.ask("activate", on=True)

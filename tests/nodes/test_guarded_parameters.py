@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from nodes.gantry_bench import GantryBench
 from nodes.grbl_board import GrblBoard
-from nodes.test_gantry_driver_node import PATIENCE, Operator
+from nodes.test_gantry_driver_node import NO_PANEL, PATIENCE, Operator
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
@@ -54,7 +54,8 @@ def board(ros: Any, tmp_path: Path) -> Iterator[GrblBoard]:
 
 
 def test_driver_keeps_its_safety_settings_while_the_stylus_presses_or_moves(ros: Any, board: GrblBoard) -> None:
-    node = ros.node(SerialDriverNode, {"port": str(board.port), "trajectory_programs": "operator", **PATIENCE})
+    values = {"port": str(board.port), "trajectory_programs": "operator", **PATIENCE, **NO_PANEL}
+    node = ros.node(SerialDriverNode, values)
     op = Operator(ros, board).ready()
     op.go((0.05, 0.05, 0.03), frame_id="down")
     op.state("moving")

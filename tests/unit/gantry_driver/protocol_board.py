@@ -5,11 +5,13 @@ The emulation that the node tests use is the program mock_grbl; this one is a pa
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import re
 from collections.abc import Callable
 from typing import Any
 
+from gantry_driver.core.envelope.config import EnvelopeConfig
 from gantry_driver.core.machine import Machine
 from gantry_driver.core.machine_config import DriverConfig
 from gantry_driver.core.machine_states import Answered, Event, Position, StateChanged
@@ -40,6 +42,8 @@ SETTINGS = {
     132: "60.000",
 }
 
+NO_PANEL = EnvelopeConfig(free_space_m=0.2, crossing_m=0.2)
+"""Most tests are about something else than the panel: their whole travel is free space."""
 BANNER = b"\r\nGrbl 1.1h ['$' for help]\r\n"
 
 
@@ -285,9 +289,16 @@ class Board:
 class Rig:
     """A machine and a board on one virtual clock."""
 
-    def __init__(self, config: DriverConfig | None = None, board: Board | None = None, **kwargs: Any) -> None:
+    def __init__(
+        self,
+        config: DriverConfig | None = None,
+        board: Board | None = None,
+        envelope: EnvelopeConfig = NO_PANEL,
+        **kwargs: Any,
+    ) -> None:
         self.board = board or Board(**kwargs)
-        self.machine = Machine(config or DriverConfig(enabled_at_start=True))
+        config = config or DriverConfig(enabled_at_start=True)
+        self.machine = Machine(dataclasses.replace(config, envelope=envelope))
         self.now = 0.0
         self.beating = True
         self.connected = True

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from unit.gantry_driver.protocol_board import HOMED, Board, Rig
+from unit.gantry_driver.protocol_board import HOMED, NO_PANEL, Board, Rig
 
 from gantry_driver.core.machine import Machine
 from gantry_driver.core.machine_config import DriverConfig, StylusConfig
@@ -49,7 +49,7 @@ def test_the_first_motion_after_a_reconnect_lifts_the_stylus_and_moves_nothing_e
 
 def test_a_new_driver_lifts_what_its_predecessor_left_down() -> None:
     rig = left_pressing()
-    rig.machine = Machine(DriverConfig(enabled_at_start=True), left_down=True)
+    rig.machine = Machine(DriverConfig(enabled_at_start=True, envelope=NO_PANEL), left_down=True)
     reopen(rig)
     assert rig.board.mpos[2] == pytest.approx(HOMED[2]) and rig.states[-1] == LIFTED
 

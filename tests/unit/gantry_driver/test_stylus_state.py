@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 from unit.gantry_driver import protocol_board
-from unit.gantry_driver.protocol_board import HOMED, Rig
+from unit.gantry_driver.protocol_board import HOMED, NO_PANEL, Rig
 
 from gantry_driver.core.machine import Machine
 from gantry_driver.core.machine_config import STYLUS_KINDS, DriverConfig, StylusConfig
@@ -399,7 +399,7 @@ def test_a_solenoid_is_told_to_be_up_after_a_hold_that_did_not_complete() -> Non
 
 def test_a_stylus_that_an_earlier_driver_left_down_is_told_until_the_machine_is_homed() -> None:
     rig = Rig()
-    rig.machine = Machine(DriverConfig(enabled_at_start=True), left_down=True)
+    rig.machine = Machine(DriverConfig(enabled_at_start=True, envelope=NO_PANEL), left_down=True)
     assert rig.machine.may_be_down
     rig.connect()
     assert rig.states[-1] == f"unhomed: {NOT_LIFTED}"
@@ -422,7 +422,7 @@ def test_a_cable_that_is_pulled_in_contact_is_told_after_the_reconnect() -> None
 
 def test_a_stylus_that_was_left_down_is_believed_up_when_images_show_it_off_the_panel() -> None:
     rig = Rig()
-    rig.machine = Machine(DriverConfig(enabled_at_start=True), left_down=True)
+    rig.machine = Machine(DriverConfig(enabled_at_start=True, envelope=NO_PANEL), left_down=True)
     rig.connect()
     rig.machine.seen_clear(0.031, age_s=1.5)
     assert rig.machine.may_be_down, "an image of 1.5 s ago"

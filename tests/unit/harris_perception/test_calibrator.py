@@ -233,7 +233,7 @@ def used_again(actions: Sequence[Action], calibrator: Calibrator) -> bool:
     if not axes:
         return False
     np.testing.assert_array_equal(axes[0], AXES)
-    assert kinds(actions) == ["SetAxes", "SetPose", "SetState"]
+    assert kinds(actions) == ["SetSigma", "SetAxes", "SetPose", "SetState"]
     assert calibrator.state == f"calibrated: {STORED.summary()}" and calibrator.level == "ok"
     return True
 
@@ -285,11 +285,11 @@ def test_settings_that_come_back_bring_the_calibration_back_but_not_into_a_run()
     assert calibrator.take_settings("$100=80.000", NOW_NS) == [], "the run's goals are made for other axes"
     calibrator.take_driver("alarm: hard limit", NOW_NS)
     assert calibrator.stored is None and calibrator.state == "failed: the driver says 'alarm: hard limit'"
-    assert kinds(calibrator.take_settings("$100=80.000", NOW_NS)) == ["SetAxes", "SetPose", "SetState"]
+    assert kinds(calibrator.take_settings("$100=80.000", NOW_NS)) == ["SetSigma", "SetAxes", "SetPose", "SetState"]
     assert calibrator.stored is stored
     other = dataclasses.replace(CONFIG, machine="other")
     assert kinds(calibrator.configure(other, NOW_NS)) == ["SetAxes", "Note", "SetState"]
-    assert kinds(calibrator.configure(CONFIG, NOW_NS)) == ["SetAxes", "SetPose", "SetState"]
+    assert kinds(calibrator.configure(CONFIG, NOW_NS)) == ["SetSigma", "SetAxes", "SetPose", "SetState"]
     assert calibrator.stored is stored
 
 

@@ -12,15 +12,19 @@ from typing import Any
 import pytest
 
 from gantry_driver.core.controller_config import ControllerConfig
+from gantry_driver.core.envelope.config import EnvelopeConfig
 from gantry_driver.core.machine_config import DriverConfig
 from icu_common.core.config import Config, ConfigError, ConfigItem, from_mapping, settings_of
 from scope_ui_bridge.core.config import BridgeConfig
 
 PACKAGES = ("icu_common", "harris_perception", "gantry_driver", "scope_ui_bridge", "scope_bench")
+ENVELOPE = {"free_space_m", "crossing_m", "side_height_m", "correction_m", "max_sigma_m", "max_age_s"}
 GUARDS = {
+    EnvelopeConfig: ENVELOPE,
     DriverConfig: {
         *("heartbeat_timeout_s", "moving_status_rate_hz", "touch_status_rate_hz", "status_timeout_s"),
         *("hold_timeout_s", "homing_timeout_s", "goal_max_age_s", "max_rest_extended_s", "lift_on_stop"),
+        *(f"envelope.{name}" for name in ENVELOPE),
     },
     ControllerConfig: {
         *("max_error_m", "max_correction_m", "max_depth_error_m", "require_servo", "state_max_age_s"),

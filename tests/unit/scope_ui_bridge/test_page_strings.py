@@ -82,6 +82,11 @@ UNSAID = {
         *("ui_bridge: {}; under load a motion may be stopped, see README, Hardware",),
         *("encoding {} is none of bgr8, mono8, {}", "OpenCV could not encode the picture"),
         *("encoding {} is none of {}, nor one of these with 16 bits",),
+        *("a standard deviation of {} m: 0 to {} m are believed", "the panel's plane faces away from the stylus"),
+        "the panel's plane counts as unknown: its standard deviation is {} mm (limit {} mm)",
+        "the panel's plane has moved by up to {} mm within the travel",
+        *("a plane has 3 readings, 2 slopes and 9 covariances", "a variance is below zero: {}"),
+        *("the plane at {} m is not finite", "the plane at {} m with slopes {} is no panel's (limits {} m and {})"),
     ),
 }
 STATES = ("stopped: ", "waiting: ", "disconnected: ", "calibrated: ", "failed: ", "uncalibrated: ")

@@ -7,6 +7,8 @@ it early, and what keeps one from starting, in ``world``; what is made of a look
 
 from __future__ import annotations
 
+import contextlib
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -16,6 +18,7 @@ import numpy as np
 from gantry_driver.core import controller_messages as msg
 from gantry_driver.core import goal_intake
 from gantry_driver.core.controller_config import ControllerConfig
+from gantry_driver.core.envelope.estimate import PlaneEstimate
 from gantry_driver.core.goal_job import MOVING, NANO, OTHERWISE, STATES, Fault, Job, Phase
 from gantry_driver.core.goal_phases import GoalPhases
 from gantry_driver.core.goal_run import nanoseconds
@@ -31,6 +34,7 @@ from icu_common.core.text_bounds import plain
 
 ASK_AGAIN_S = 0.5
 CLEAR_AGAIN_S = 1.0
+PLANE_AGAIN_S = 1.0
 CLOCK_JUMP_S = 0.5
 """Time that runs back farther than this between two events ends the goal: no deadline would hold any more."""
 
@@ -41,6 +45,7 @@ class Controller(GoalPhases):
     def __init__(self, config: ControllerConfig) -> None:
         super().__init__(config)
         self._hold_up, self._wall_hold_up = HoldUp(), HoldUp()
+        self._face, self._sigma_m, self._plane_ns = PlaneEstimate(), math.nan, 0
 
     @property
     def state(self) -> str:
@@ -77,7 +82,8 @@ class Controller(GoalPhases):
         if jumped_back_s > CLOCK_JUMP_S:
             self._world.forget_times()
             self._rest_look = NO_LOOK
-            self._stamp_ns = self._asked_ns = 0  # the driver refuses stamps of the old time
+            self._face.forget()
+            self._stamp_ns = self._asked_ns = self._plane_ns = 0  # the driver refuses stamps of the old time
             if self._job is not None:
                 self._break_off(self._job, Fault(cause=f"the clock jumped back by {jumped_back_s:.1f} s", stop=True))
         self._take(event)
@@ -138,12 +144,14 @@ class Controller(GoalPhases):
                     self._rest_look = Look(after_ns=settled_ns, needed=count, kept=count)
                 world.take_readings(event.readings)
                 self._check_left_behind()
+                self._report_plane()  # between two goals the machine may rest for no longer than this
             case msg.MotionResult():
                 self._take_motion_result(event.result)
             case msg.PanelPose():
                 world.reported_panel = event
             case msg.PanelConfidence():
                 world.take_confidence(event.value, self.config)
+                self._report_plane()
             case msg.PanelAlarm():
                 world.panel_alarm = event.text
             case msg.PanelControls():
@@ -156,6 +164,8 @@ class Controller(GoalPhases):
                 world.camera_from_base = event.transform
             case msg.Axes():
                 world.base_from_reading = event.base_from_reading
+            case msg.CalibrationSigma():
+                self._sigma_m = event.value_m
             case msg.TipSeen():
                 # Pictures come late: those of the contact still count when the stylus is on its way up.
                 self._tip_look = self._tip_look.with_tip(event.in_camera, event.stamp_ns)
@@ -185,6 +195,27 @@ class Controller(GoalPhases):
         if height_m is not None and self._world.age_s(self._world.clear_ns) > CLEAR_AGAIN_S:
             self._world.clear_ns = self._now_ns
             self._actions.append(msg.ReportClear(height_m=height_m))
+
+    def _report_plane(self) -> None:
+        """Tell the driver where the panel is, at most once in a second, while the machine rests with the stylus up."""
+        world = self._world
+        pose, axes, panel = world.resting_base_from_panel, world.base_from_reading, world.panel
+        if world.rivals.text or world.panel_alarm:
+            self._face.forget()
+            return
+        if pose is None or axes is None or panel is None or not math.isfinite(self._sigma_m):
+            return
+        if not world.panel_is_still(self.config):
+            return
+        self._face.take(pose, world.panel_stamp_ns)
+        told = world.age_s(self._plane_ns) < PLANE_AGAIN_S or self._face.stamp_ns <= self._plane_ns
+        if told or world.readings is None or world.unrest():
+            return
+        middle, ball_m = panel.extent.mean(axis=0), self.config.touch.ball_radius_m
+        with contextlib.suppress(ValueError):  # it leans so far that nothing is touched
+            if (plane := self._face.plane(axes, middle, ball_m, self._sigma_m)) is not None:
+                self._plane_ns = self._now_ns
+                self._actions.append(msg.ReportPlane(plane=plane, stamp_ns=self._face.stamp_ns))
 
     def _take_driver(self, text: str) -> None:
         self._world.driver = text

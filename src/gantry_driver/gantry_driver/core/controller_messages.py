@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from gantry_driver.core.envelope.plane import PanelPlane
 from gantry_driver.core.motion_plan import Path
 from gantry_driver.core.scene import PanelMap
 from icu_common.core.camera_model import CameraModel
 from icu_common.core.delays import Delay
 from icu_common.core.geometry import Array, Transform
+from icu_common.core.intent import Intent
 from icu_common.core.panel_state import PanelSeen
 from icu_common.core.results import GoalResult
 
@@ -118,6 +120,23 @@ class Axes:
             raise ValueError(f"axes {matrix.tolist()}: 2 x 2 values within 0.1 of the identity are needed")
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CalibrationSigma:
+    """Standard deviation of the hand-eye calibration in metres.
+
+    Raises
+    ------
+    ValueError
+        If it is none.
+    """
+
+    value_m: float
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.value_m < FARTHEST_M:
+            raise ValueError(f"a standard deviation of {self.value_m} m: 0 to {FARTHEST_M:g} m are believed")
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TipSeen:
     """The centre of the stylus's ball (3,) in metres, in the left camera's rectified frame."""
@@ -172,6 +191,7 @@ Event = (
     | PanelState
     | CameraFromBase
     | Axes
+    | CalibrationSigma
     | TipSeen
     | TipUnseen
     | CameraSeen
@@ -187,6 +207,7 @@ class SendTrajectory:
 
     stamp_ns: int
     path: Path
+    intent: Intent = Intent.MOVE
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -228,4 +249,12 @@ class ReportClear:
     height_m: float
 
 
-Action = SendTrajectory | PublishResult | SetState | ShowTarget | CallStop | ReportDelay | ReportClear
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ReportPlane:
+    """Tell the driver where the panel's face is, as it was seen at ``stamp_ns``."""
+
+    plane: PanelPlane
+    stamp_ns: int
+
+
+Action = SendTrajectory | PublishResult | SetState | ShowTarget | CallStop | ReportDelay | ReportClear | ReportPlane

@@ -14,6 +14,7 @@ from gantry_driver.core.targets import Touch
 from icu_common.core.delays import Delay
 from icu_common.core.geometry import Array
 from icu_common.core.gesture import Gesture
+from icu_common.core.intent import Intent
 from icu_common.core.panel_state import PanelSeen
 from icu_common.core.results import GoalResult, Outcome
 
@@ -78,6 +79,13 @@ STATES = {
 OTHERWISE = "moving"
 WORKING = frozenset((*STATES.values(), OTHERWISE))
 """What it shows while a goal is in work."""
+
+
+def intent_in(phase: Phase, kind: str) -> Intent:
+    """Return what the motion of a phase is for, in a goal of a kind."""
+    if phase is Phase.TURN:
+        return Intent.DRAG if kind == "drag" else Intent.TURN
+    return Intent.PRESS if phase is Phase.TOUCH else Intent.MOVE
 
 
 class Step(str, Enum):

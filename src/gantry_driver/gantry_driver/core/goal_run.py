@@ -21,6 +21,7 @@ from gantry_driver.core.goal_job import (
     Job,
     Phase,
     Step,
+    intent_in,
 )
 from gantry_driver.core.motion_plan import OutOfReach, Path
 from gantry_driver.core.patience import next_limit_s
@@ -28,6 +29,7 @@ from gantry_driver.core.servo import NO_LOOK, Look
 from gantry_driver.core.world import EXTENDED_M, World
 from icu_common.core.delays import Delay, ResultCode
 from icu_common.core.geometry import Array
+from icu_common.core.intent import Intent
 from icu_common.core.results import Outcome
 
 
@@ -84,7 +86,7 @@ class GoalRun:
         if len(path.points):
             self._end, self._arrived_ns = path.points[-1], None
             self._path, self._sent = path, 1
-            self._actions.append(msg.SendTrajectory(stamp_ns=self._stamp_ns, path=path))
+            self._send(path)
         else:
             # The machine stands there already; joint_states younger than this moment confirm it.
             self._end, self._arrived_ns = self._world.here, self._now_ns
@@ -101,8 +103,12 @@ class GoalRun:
         self._actions.append(msg.ReportDelay(delay=delay, then=then))
         self._enter(self.phase, 1.5 * self._path.duration_s + self.config.motion_timeout_s)
         self._stamp_ns = max(self._now_ns, self._stamp_ns + 1)
-        self._actions.append(msg.SendTrajectory(stamp_ns=self._stamp_ns, path=self._path))
+        self._send(self._path)
         return True
+
+    def _send(self, path: Path) -> None:
+        intent = Intent.MOVE if self._job is None else intent_in(self.phase, self._job.kind)
+        self._actions.append(msg.SendTrajectory(stamp_ns=self._stamp_ns, path=path, intent=intent))
 
     def _try(self, job: Job, phase: Phase, plan: Callable[[], Path]) -> None:
         """Enter a phase whose path may leave the reachable area because of a correction."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from gantry_driver.core.envelope.config import EnvelopeConfig
 from gantry_driver.core.wire.clearance import stopping_way_mm
 from icu_common.core.admission.heartbeats import PROGRAMS as HEARTBEAT_PROGRAMS
 from icu_common.core.config import WALL_TIME, Config, ConfigError, nested, setting
@@ -267,6 +268,7 @@ class DriverConfig(Config):
         "After a stop, once the hold is complete, lift the stylus off the panel",
         guards="after a stop the stylus presses on",
     )
+    envelope: EnvelopeConfig = nested(EnvelopeConfig)
     machine: MachineConfig = nested(MachineConfig)
     stylus: StylusConfig = nested(StylusConfig)
 

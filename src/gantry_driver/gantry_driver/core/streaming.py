@@ -9,10 +9,12 @@ from dataclasses import replace
 from itertools import chain
 
 from gantry_driver.core.connection import HOLD_REPEAT_S
+from gantry_driver.core.envelope.keeper import Envelope
+from gantry_driver.core.envelope.plane import PanelPlane
 from gantry_driver.core.gcode_check import Bounds, CheckedLine, GcodeError, ProgramChecker
 from gantry_driver.core.grbl_messages import Dialect, Report
 from gantry_driver.core.machine_config import DriverConfig
-from gantry_driver.core.machine_states import Phase
+from gantry_driver.core.machine_states import Note, Phase
 from gantry_driver.core.program.marks import LineMarks
 from gantry_driver.core.session import HOLD, RESUME
 from gantry_driver.core.stopping import LOCKED
@@ -31,6 +33,7 @@ from gantry_driver.core.wire.stages import DOWN_MM, LINE_S, SURPLUS_S, Send, dep
 from gantry_driver.core.wire.watch import PathWatch
 from icu_common.core.admission.rivals import RivalTopics
 from icu_common.core.delays import Delay, ResultCode
+from icu_common.core.intent import Intent
 from icu_common.core.results import GoalResult, Outcome
 
 PROGRAM_MODES = ("G49", "G0G17G21G40G54G90G94")
@@ -48,11 +51,20 @@ class Streaming(Proving):
         """Wall time, by which the heartbeat is judged where ``now`` is simulated; None: ``now`` is wall time."""
         self._paused_at = 0.0
         self._rivals = RivalTopics()
+        self._envelope = Envelope()
 
     def rivals(self, topic: str, text: str, now: float) -> None:
         """Note the programs that publish a topic for one source (empty: only one does); more than one is a stop."""
         if self._rivals.take(topic, text):
             self.stop(text, now)
+
+    def panel(self, plane: PanelPlane, age_s: float, now: float) -> str:
+        """Take the panel's plane, only at rest with the stylus up: a path keeps the plane it was checked with."""
+        if refusal := self.unrest():
+            return refusal
+        if text := self._envelope.take(plane, now - max(age_s, 0.0), self.config):
+            self._events.append(Note(level="warn", text=text))
+        return ""
 
     def unrest(self) -> str:
         """Return why safety settings must not change now, empty at rest with the stylus up."""
@@ -97,6 +109,7 @@ class Streaming(Proving):
         age_s: float,
         now: float,
         distrust: str = "",
+        intent: Intent = Intent.PRESS,
     ) -> GoalResult:
         """Start a trajectory, or refuse it; the answer is returned and also in the events.
 
@@ -110,6 +123,8 @@ class Streaming(Proving):
             Age of the trajectory's stamp; 0 for "now".
         distrust
             Reason to doubt that the sender may move the machine, empty for none.
+        intent
+            Intent of the trajectory, which decides how it may use the space at the panel.
         """
         text = f"{len(points)} points" + (f" to {tuple(points[-1].positions_m)}" if points else "")
         if not abs(age_s) <= (limit_s := self.config.goal_max_age_s):
@@ -129,6 +144,9 @@ class Streaming(Proving):
             motion = write_motion(names, points, start, self.config)
         except TrajectoryError as error:
             return self._answer(GoalResult(goal_id=goal_id, goal=text, outcome=Outcome.REJECTED, reason=str(error)))
+        if breach := self._envelope.breach(motion, start, intent, self.config, now):
+            refused = GoalResult(goal_id=goal_id, goal=text, outcome=Outcome.REJECTED, reason=breach.text())
+            return self._answer(replace(refused, code=breach.code.value, details=breach.details()))
         # A frame that outlasts a reset, as on others than GRBL, would outlast a stop as well.
         framed = self.dialect is Dialect.GRBL and self.session.tells_mpos
         script = make_script(motion, self.config, framed=framed, frame_mm=self._frame_mm)

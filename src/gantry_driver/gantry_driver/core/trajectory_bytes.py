@@ -9,6 +9,7 @@ from __future__ import annotations
 import struct
 from dataclasses import dataclass
 
+from icu_common.core.intent import read_frame
 from icu_common.core.results import GoalResult, Outcome
 
 HEAD_BYTES = 4096
@@ -33,7 +34,7 @@ class TrajectoryHead:
     @property
     def goal_id(self) -> str:
         """Name of the goal in its answers."""
-        return self.frame_id or str(self.stamp_ns)
+        return read_frame(self.frame_id, self.stamp_ns)[0]
 
 
 def max_bytes(max_points: int) -> int:

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import PointStamped, PoseStamped, TransformStamped
+from geometry_msgs.msg import PointStamped, PoseStamped, PoseWithCovarianceStamped, TransformStamped
 from rclpy.duration import Duration
 from sensor_msgs.msg import CameraInfo, JointState
 from std_msgs.msg import Empty, Float32, Float64MultiArray, Header, String
@@ -27,6 +27,7 @@ from gantry_driver.core import controller_messages as msg
 from gantry_driver.core.controller import Controller
 from gantry_driver.core.controller_config import ControllerConfig
 from gantry_driver.core.scene import PanelMap
+from gantry_driver.nodes.panel_plane import plane_message
 from icu_common.adapters.processor_load import LoadMeter
 from icu_common.adapters.real_time import steady_s
 from icu_common.core.admission.heartbeats import HeartbeatSources
@@ -34,6 +35,7 @@ from icu_common.core.admission.sources import rivals_text
 from icu_common.core.camera_model import CameraModel
 from icu_common.core.delays import is_delayed, with_load
 from icu_common.core.frames import BASE, CAMERA_LEFT, JOINTS, PANEL
+from icu_common.core.intent import frame_of
 from icu_common.core.results import GoalResult
 from icu_common.core.text_bounds import plain
 from icu_common.nodes import qos
@@ -89,6 +91,7 @@ class ControllerNode(GraphNode):
         self._target = self.create_publisher(PointStamped, "target", qos.LATCHED)
         self._stop = self.create_publisher(Empty, "stop_request", qos.RESULTS)
         self._clear = self.create_publisher(PointStamped, "stylus_seen_clear", qos.RESULTS)
+        self._plane = self.create_publisher(PoseWithCovarianceStamped, "panel/plane", qos.LATCHED)
         self._diagnostics = Diagnostics(self, "gantry controller")
         self._hear(String, "driver_state", qos.EACH_LATCHED, lambda m: msg.DriverState(text=plain(m.data)))
         self._hear(JointState, "joint_states", qos.SENSOR, lambda m: msg.Joints(readings=joint_positions(m, JOINTS)))
@@ -105,6 +108,7 @@ class ControllerNode(GraphNode):
         self._see(DiagnosticArray, "panel/state", qos.SENSOR, lambda m: msg.PanelState(seen=panel_state_of_message(m)))
         self._hear(TransformStamped, "calibration/camera_from_base", qos.LATCHED, _camera_from_base)
         self._hear(Float64MultiArray, "calibration/axes", qos.LATCHED, _axes)
+        self._hear(Float32, "calibration/sigma", qos.LATCHED, lambda m: msg.CalibrationSigma(value_m=m.data))
         self._see(PointStamped, "stylus/tip", qos.SENSOR, _tip)
         self._see(Header, "stylus/unseen", qos.SENSOR, lambda m: msg.TipUnseen(stamp_ns=stamp_ns(m.stamp)))
         self._see(CameraInfo, "camera_info", qos.SENSOR, self._camera_seen)
@@ -205,8 +209,8 @@ class ControllerNode(GraphNode):
         for action in actions:
             match action:
                 case msg.SendTrajectory():
-                    # Readings are in no frame, and the driver takes a frame's name for the trajectory's.
-                    head = header(action.stamp_ns, "")
+                    # Readings are in no frame; in its place the driver reads what a trajectory is for.
+                    head = header(action.stamp_ns, frame_of(action.intent))
                     path = action.path
                     self._trajectory.publish(trajectory_message(JOINTS, path.points, path.times_s, head))
                 case msg.PublishResult():
@@ -220,6 +224,8 @@ class ControllerNode(GraphNode):
                 case msg.ReportClear():
                     place = np.array([0.0, 0.0, action.height_m])
                     self._clear.publish(point_message(place, header(self._now_ns(), PANEL)))
+                case msg.ReportPlane():
+                    self._plane.publish(plane_message(action.plane, action.stamp_ns))
                 case msg.CallStop():
                     self.get_logger().error(f"stop: {action.reason}")
                     self._stop.publish(Empty())

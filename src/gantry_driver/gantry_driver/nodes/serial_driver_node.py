@@ -20,7 +20,7 @@ from queue import SimpleQueue
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import PointStamped
+from geometry_msgs.msg import PointStamped, PoseWithCovarianceStamped
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
@@ -34,12 +34,15 @@ from gantry_driver.core.machine_config import DriverConfig
 from gantry_driver.core.machine_states import Answered, Event, Note, Position, StateChanged
 from gantry_driver.core.trajectory_bytes import max_bytes, read_head, refusal
 from gantry_driver.core.trajectory_gcode import Waypoint
+from gantry_driver.nodes.panel_plane import plane_of_message
 from icu_common.adapters.direct_stop.line import stop_path
 from icu_common.adapters.real_time import DRIVER, ask_for_real_time, is_real_time
 from icu_common.adapters.step_ledger import BYTES_READ, BYTES_WRITTEN
 from icu_common.core.admission.heartbeats import HeartbeatSources
-from icu_common.core.admission.sources import distrust_text
+from icu_common.core.admission.sources import base_name, distrust_text
 from icu_common.core.frames import JOINTS
+from icu_common.core.intent import Intent, read_frame
+from icu_common.core.text_bounds import plain
 from icu_common.nodes.admission.sources import SourceWatch
 from icu_common.nodes.conversions import (
     diagnostic_status,
@@ -57,6 +60,8 @@ from icu_common.nodes.timers import every, runs_by_clock_topic, seconds_of
 
 STEPS = "driver:steps"
 """Ledger entry for the number of steps of simulated time that the guard has processed."""
+CONTROLLER = "gantry_controller"
+"""Node whose trajectories may be drags and turns."""
 LINK_CHECK_S = 0.5
 PUBLISH_WITHIN_S = 2.0
 """For what is still to be published when the driver ends."""
@@ -91,6 +96,7 @@ class SerialDriverNode(GraphLifecycleNode):
         self._sources = SourceWatch(self, self._on_sources)
         self._sources.subscribe(JointTrajectory, "trajectory", self._on_trajectory_bytes, COMMAND, raw=True)
         self._sources.subscribe(PointStamped, "stylus_seen_clear", self._on_seen_clear, RESULTS)
+        self._sources.subscribe(PoseWithCovarianceStamped, "panel/plane", self._on_plane, LATCHED)
         self._sources.subscribe(Header, "heartbeat", self._on_heartbeat, SENSOR, self._heartbeats.judge)
         self.create_service(Trigger, "home", self._on_home)
         self.create_service(Trigger, "stop", self._on_stop)
@@ -188,11 +194,14 @@ class SerialDriverNode(GraphLifecycleNode):
     def _on_trajectory(self, message: JointTrajectory) -> None:
         stamp = stamp_ns(message.header.stamp)
         age_s = (self._now_ns() - stamp) / 1e9 if stamp else 0.0
-        goal_id = message.header.frame_id or str(stamp)
+        goal_id, intent = read_frame(message.header.frame_id, stamp)
         names, points = list(message.joint_names), [_waypoint(point) for point in message.points]
         self._sources.look("trajectory")  # a message may arrive before the event of its publisher
-        distrust = distrust_text(self._sources.names("trajectory"), self._live.config.trajectory_programs)
-        self._link.run(goal_id, names, points, age_s=age_s, distrust=distrust)
+        senders = self._sources.names("trajectory")
+        distrust = distrust_text(senders, self._live.config.trajectory_programs)
+        if any(base_name(sender) != CONTROLLER for sender in senders):
+            intent = Intent.PRESS  # only the controller drags and turns
+        self._link.run(goal_id, names, points, age_s=age_s, distrust=distrust, intent=intent.value)
 
     def _on_heartbeat(self, message: Header) -> None:
         if self._heartbeats.heard(message.frame_id, time.monotonic()):
@@ -205,6 +214,19 @@ class SerialDriverNode(GraphLifecycleNode):
     def _on_seen_clear(self, message: PointStamped) -> None:
         age_s, height_m = (self._now_ns() - stamp_ns(message.header.stamp)) / 1e9, float(message.point.z)
         self._link.ask("seen_clear", height_m=height_m, age_s=age_s)
+
+    def _on_plane(self, message: PoseWithCovarianceStamped) -> None:
+        try:
+            plane = plane_of_message(message)
+        except ValueError as error:
+            self.get_logger().error(f"panel/plane: ignored: {plain(str(error))}", throttle_duration_sec=5.0)
+            return
+        senders = self._sources.names("panel/plane")
+        if distrust := distrust_text(senders, self._live.config.trajectory_programs):
+            self.get_logger().error(f"panel/plane: ignored: {distrust}", throttle_duration_sec=5.0)
+            return
+        age_s = (self._now_ns() - stamp_ns(message.header.stamp)) / 1e9
+        self._link.tell("panel", plane=plane.values(), age_s=age_s)
 
     def _on_home(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         return _fill(response, self._link.ask("home"), "accepted: homing")

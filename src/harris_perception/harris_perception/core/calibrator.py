@@ -77,6 +77,13 @@ class SetAxes:
     base_from_reading: Array | None
 
 
+@dataclass(frozen=True, slots=True)
+class SetSigma:
+    """Publish the predicted error of the calibration in use, m."""
+
+    sigma_m: float
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class SetPose:
     """Publish where base_link is seen."""
@@ -98,7 +105,7 @@ class Note:
     text: str
 
 
-Action = SendGoal | SetState | SetAxes | SetPose | Keep | Note
+Action = SendGoal | SetState | SetAxes | SetSigma | SetPose | Keep | Note
 
 
 class Calibrator:
@@ -414,6 +421,7 @@ class Calibrator:
         self._loaded, self._refused = None, ""
         self.drift = DriftWatch(self.config.drift, calibration)
         return [
+            SetSigma(calibration.sigma_m),
             SetAxes(calibration.base_from_reading),
             *self._pose(calibration, now_ns),
             *self._set_state(f"calibrated: {calibration.summary()}"),

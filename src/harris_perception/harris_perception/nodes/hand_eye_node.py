@@ -10,7 +10,7 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PointStamped, PoseStamped, TransformStamped
 from sensor_msgs.msg import CameraInfo, JointState, PointCloud2
-from std_msgs.msg import Float64MultiArray, Header, String
+from std_msgs.msg import Float32, Float64MultiArray, Header, String
 from std_srvs.srv import Trigger
 from visualization_msgs.msg import MarkerArray
 
@@ -25,6 +25,7 @@ from harris_perception.core.calibrator import (
     Refused,
     SetAxes,
     SetPose,
+    SetSigma,
     SetState,
 )
 from harris_perception.core.planar_pose import FACE_POINT_COLUMNS, FacePoints
@@ -58,7 +59,7 @@ _TICK_S = 0.05
 
 
 class HandEyeNode(GraphNode):
-    """Services ``run``, ``add_sample``, ``solve``, ``save``; publishes ``camera_from_base``, ``axes`` and ``state``."""
+    """Services ``run``, ``add_sample``, ``solve``, ``save``; publishes the calibration and its state."""
 
     def __init__(self, **options: Any) -> None:
         super().__init__("hand_eye", **options)
@@ -68,6 +69,7 @@ class HandEyeNode(GraphNode):
         self._goal = self.create_publisher(PointStamped, "goal", qos.COMMAND)
         self._transform = self.create_publisher(TransformStamped, "camera_from_base", qos.LATCHED)
         self._axes = self.create_publisher(Float64MultiArray, "axes", qos.LATCHED)
+        self._sigma = self.create_publisher(Float32, "sigma", qos.LATCHED)
         self._state = self.create_publisher(String, "state", qos.LATCHED)
         self._diagnostics = Diagnostics(self)
         self._act([SetState(self.calibrator.state)])
@@ -218,6 +220,8 @@ class HandEyeNode(GraphNode):
                     self._state.publish(String(data=action.text))
                 case SetAxes():
                     self._axes.publish(axes_message(action.base_from_reading))
+                case SetSigma():
+                    self._sigma.publish(Float32(data=action.sigma_m))
                 case SetPose():
                     head = header(action.stamp_ns, CAMERA_LEFT)
                     self._transform.publish(transform_message(action.camera_from_base, head, BASE))

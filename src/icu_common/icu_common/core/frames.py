@@ -4,6 +4,8 @@ BASE = "base_link"
 PANEL = "panel_link"
 CAMERA_LEFT = "camera_left_optical_frame"
 CAMERA_RIGHT = "camera_right_optical_frame"
+READINGS = "gantry_readings"
+"""The space of the axes' readings: x, y, and minus the stylus's extension. No transform leads to it."""
 
 JOINT_X = "gantry_x_joint"
 JOINT_Y = "gantry_y_joint"

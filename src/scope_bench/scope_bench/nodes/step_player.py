@@ -20,6 +20,7 @@ from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 
 from icu_common.adapters.step_gate import StepGate
+from icu_common.core.intent import read_frame
 from icu_common.nodes.conversions import stamp_ns
 from icu_common.nodes.graph_node import this_process
 from icu_common.nodes.qos import RESULTS
@@ -57,7 +58,7 @@ class StepPlayer:
         node.create_subscription(JointTrajectory, TRAJECTORY, self._on_trajectory, RESULTS)
 
     def _on_trajectory(self, message: JointTrajectory) -> None:
-        self._trajectories.append(message.header.frame_id or str(stamp_ns(message.header.stamp)))
+        self._trajectories.append(read_frame(message.header.frame_id, stamp_ns(message.header.stamp))[0])
 
     def begin(self, processes: int) -> None:
         """Wait until so many processes are there and know each other.
@@ -140,5 +141,5 @@ def _recorded_trajectories(bag: BagReader) -> Sequence[str]:
     found = []
     for _, _, data in bag.messages(names):
         head = deserialize_message(data, JointTrajectory).header
-        found.append(head.frame_id or str(stamp_ns(head.stamp)))
+        found.append(read_frame(head.frame_id, stamp_ns(head.stamp))[0])
     return found

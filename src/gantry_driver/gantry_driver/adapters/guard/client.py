@@ -140,12 +140,11 @@ class GuardLink:
             self.stop(text)
         self.ask("rivals", topic=topic, text=text)
 
-    def run(self, goal_id: str, names: list[str], points: list[Waypoint], *, age_s: float, distrust: str = "") -> None:
-        """Start a trajectory, unless ``distrust`` gives a reason against its sender; the answers are events."""
-        values = {"goal_id": goal_id, "names": names, "points": waypoint_values(points), "age_s": age_s}
-        values["distrust"] = distrust
+    def run(self, goal_id: str, names: list[str], points: list[Waypoint], **values: Any) -> None:
+        """Start a trajectory with the ``values`` of :meth:`Machine.run`; the answers are events."""
         try:
-            if self.ask("run", **values) == NO_ANSWER:
+            answer = self.ask("run", goal_id=goal_id, names=names, points=waypoint_values(points), **values)
+            if answer == NO_ANSWER:
                 raise FrameError(NO_ANSWER)
         except FrameError as error:
             text = f"{len(points)} points"
@@ -228,9 +227,9 @@ class GuardLink:
                 "active": machine.active,
                 "left_down": self._down,
             }
-            connection.sendall(frame(hello))
-            for topic, text in self._rivals.items():
-                connection.sendall(frame({"do": "rivals", "topic": topic, "text": text}))
+            rivals = [frame({"do": "rivals", "topic": topic, "text": text}) for topic, text in self._rivals.items()]
+            with contextlib.suppress(BrokenPipeError):  # a guard that refuses has closed already, and said why
+                connection.sendall(frame(hello) + b"".join(rivals))
             self._socket = connection
 
     def _listen(self, connection: socket.socket) -> str:

@@ -5,16 +5,25 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from gantry_driver.core.envelope.plane import plane_of
 from gantry_driver.core.guard.messages import config_of, waypoints_of
 from gantry_driver.core.machine import Machine
+from icu_common.core.intent import Intent
 
 Values = Mapping[str, Any]
 
 
 def _run(machine: Machine, now: float, values: Values) -> None:
     points = waypoints_of(values["points"])
-    age_s, distrust = values["age_s"], values.get("distrust", "")
-    machine.run(values["goal_id"], values["names"], points, age_s=age_s, now=now, distrust=distrust)
+    machine.run(
+        values["goal_id"],
+        values["names"],
+        points,
+        age_s=values["age_s"],
+        now=now,
+        distrust=values.get("distrust", ""),
+        intent=Intent(values.get("intent", Intent.PRESS)),
+    )
 
 
 def _status(machine: Machine, now: float, values: Values) -> dict[str, Any]:
@@ -34,6 +43,7 @@ COMMANDS: dict[str, Callable[[Machine, float, Values], Any]] = {
     "accept_settings": lambda machine, now, values: machine.accept_settings(now),
     "write_settings": lambda machine, now, values: machine.write_settings(now),
     "seen_clear": lambda machine, now, values: machine.seen_clear(values["height_m"], values["age_s"]),
+    "panel": lambda machine, now, values: machine.panel(plane_of(values["plane"]), values["age_s"], now),
     "rivals": lambda machine, now, values: machine.rivals(values["topic"], values["text"], now),
     "unrest": lambda machine, now, values: machine.unrest(),
     "enable": lambda machine, now, values: machine.enable(bool(values["on"]), now),

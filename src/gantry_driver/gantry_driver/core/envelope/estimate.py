@@ -1,0 +1,85 @@
+"""The controller's estimate of the panel's plane, from the poses that were seen last."""
+
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+
+from gantry_driver.core.envelope.plane import PanelPlane
+from icu_common.core.geometry import Array, Transform
+
+LEAST_POSES, MOST_POSES = 2, 10
+WINDOW_S = 8.0
+"""Age at which a pose counts no more."""
+HELD_SIGMA_M = 0.00015
+"""Standard deviation that no scatter shows: recognition holds a pose until the next differs by more than that
+(``recognition.agreement.tolerance_mm``)."""
+NANO = 1_000_000_000
+
+
+class PlaneEstimate:
+    """Collects poses of the panel's face in base_link."""
+
+    def __init__(self) -> None:
+        self._poses: deque[tuple[int, Transform]] = deque(maxlen=MOST_POSES)
+
+    def forget(self) -> None:
+        """Begin again: what was seen is in doubt."""
+        self._poses.clear()
+
+    def take(self, base_from_panel: Transform, stamp_ns: int) -> None:
+        """Take a pose that was seen at a time; one that was taken already changes nothing."""
+        if self._poses and stamp_ns <= self._poses[-1][0]:
+            return
+        self._poses.append((stamp_ns, base_from_panel))
+        while stamp_ns - self._poses[0][0] > WINDOW_S * NANO:
+            self._poses.popleft()
+
+    @property
+    def stamp_ns(self) -> int:
+        """When the newest pose was seen."""
+        return self._poses[-1][0] if self._poses else 0
+
+    def plane(
+        self, base_from_reading: Array, middle: Array, ball_radius_m: float, calibration_sigma_m: float
+    ) -> PanelPlane | None:
+        """Return the plane in readings; None while too few poses have been seen.
+
+        Parameters
+        ----------
+        base_from_reading
+            (2, 2) the machine's axes.
+        middle
+            (2,) the middle of the face in panel_link, m, where its depth is known best.
+        ball_radius_m
+            The stylus touches by its ball's lowest point.
+        calibration_sigma_m
+            Standard deviation of the hand-eye calibration.
+
+        Raises
+        ------
+        ValueError
+            If the poses are no panel's.
+        """
+        if len(self._poses) < LEAST_POSES:
+            return None
+        poses = [pose for _, pose in self._poses]
+        centre = np.mean([pose.apply(np.array([*middle, 0.0]))[:2] for pose in poses], axis=0)
+        rows = np.array([_face(pose, centre, base_from_reading) for pose in poses])
+        mean, covariance = rows.mean(axis=0), np.cov(rows.T)
+        covariance[0, 0] += HELD_SIGMA_M**2 + calibration_sigma_m**2
+        x, y = np.linalg.solve(base_from_reading, centre)
+        return PanelPlane(
+            at_m=(float(x), float(y), float(mean[0]) - ball_radius_m),
+            slope=(float(mean[1]), float(mean[2])),
+            covariance=tuple(covariance.ravel().tolist()),
+        )
+
+
+def _face(base_from_panel: Transform, centre: Array, base_from_reading: Array) -> Array:
+    """Return (3,) how far below z = 0 the face is at a place (2,) of base_link, and its slopes along the axes."""
+    normal, origin = base_from_panel.rotation[:, 2], base_from_panel.translation
+    slope = normal[:2] / normal[2]  # of the depth, which grows where z falls
+    depth = -origin[2] + slope @ (centre - origin[:2])
+    return np.array([depth, *(base_from_reading.T @ slope)])

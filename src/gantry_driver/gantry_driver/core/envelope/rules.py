@@ -1,0 +1,148 @@
+"""Comparison of a path with the space that it may use, before a byte of it is sent."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import Enum
+
+from gantry_driver.core.envelope.plane import PanelPlane
+from gantry_driver.core.machine_config import DriverConfig
+from icu_common.core.intent import Intent
+
+Reading = tuple[float, float, float]
+
+SIGMAS = 3.0
+"""Standard deviations of the plane by which a path may go deeper."""
+STRAIGHT_M = 0.0002
+"""Sideways motion that is rounding and not intent: the controller's tolerance of an arrival."""
+ROUNDING_M = 5e-5
+"""Depth that is rounding: a motor step, the third decimal of a line, and the plane's own."""
+SIDEWAYS = (Intent.TURN, Intent.DRAG)
+"""Intents that move sideways in contact."""
+
+
+class EnvelopeFault(str, Enum):
+    """Machine-readable cause in ``GoalResult.code`` of a trajectory that was rejected for where it goes."""
+
+    NO_PANEL = "no_panel"
+    """It leaves the free space while the panel's plane is unknown, or not known well enough."""
+    OLD_PANEL = "old_panel"
+    """The same, and the plane that was known is too old."""
+    TOO_DEEP = "too_deep"
+    """It goes beyond the panel by more than its intent allows."""
+    TOO_LOW = "too_low"
+    """It moves sideways close to the panel and is no drag or turn."""
+    SIDEWAYS = "sideways"
+    """It moves farther sideways with the stylus extended than a correction does, and is no drag or turn."""
+
+    def __str__(self) -> str:
+        return self.value
+
+
+_TEXTS = {
+    EnvelopeFault.NO_PANEL: "the panel's plane is not known: the stylus would extend {} mm (limit {} mm)",
+    EnvelopeFault.OLD_PANEL: "the panel's plane is {} s old (limit {} s)",
+    EnvelopeFault.TOO_DEEP: "the path goes {} mm beyond the panel (limit {} mm)",
+    EnvelopeFault.TOO_LOW: "the path moves sideways {} mm above the panel (limit {} mm)",
+    EnvelopeFault.SIDEWAYS: "the path moves {} mm sideways with the stylus extended (limit {} mm)",
+}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Breach:
+    """Where a path leaves the space that it may use; metres, or seconds of a plane that is too old."""
+
+    code: EnvelopeFault
+    measured: float
+    limit: float
+    place: Reading | None = None
+
+    def text(self) -> str:
+        """Return it for people."""
+        scale = 1.0 if self.code is EnvelopeFault.OLD_PANEL else 1000.0
+        return _TEXTS[self.code].format(f"{scale * self.measured:.1f}", f"{scale * self.limit:.1f}")
+
+    def details(self) -> tuple[tuple[str, str], ...]:
+        """Return the values as pairs for ``GoalResult.details``."""
+        unit = "s" if self.code is EnvelopeFault.OLD_PANEL else "m"
+        place = () if self.place is None else (("reading_m", " ".join(f"{value:.5f}" for value in self.place)),)
+        return ((f"measured_{unit}", f"{self.measured:.5f}"), (f"limit_{unit}", f"{self.limit:.5f}"), *place)
+
+
+def depth_limit_m(plane: PanelPlane, x: float, y: float, intent: Intent, config: DriverConfig) -> float:
+    """Return how far beyond the face a path may go at a place, in metres.
+
+    The travel of the intent, what the plane may be wrong by, and what the plane rises over the correction of an aim:
+    readings are corrected by what the cameras see, so that the ball touches a little off the reading's place.
+    """
+    travel = 0.0 if intent is Intent.MOVE else config.overtravel_m
+    unsure = SIGMAS * min(plane.sigma_m(x, y), config.envelope.max_sigma_m)
+    return travel + unsure + math.hypot(*plane.slope) * config.envelope.correction_m + ROUNDING_M
+
+
+def breach_of(path: Sequence[Reading], plane: PanelPlane | None, intent: Intent, config: DriverConfig) -> Breach | None:
+    """Return the first breach of a path.
+
+    A plane is straight, and so is each move, so that the ends of the moves are their extremes. A stylus that stands
+    too deep already may rise, and do nothing else.
+
+    Parameters
+    ----------
+    path
+        Readings in m, from where the machine stands.
+    plane
+        None while it is unknown.
+    """
+    anchor: Reading | None = None
+    for begin, end in itertools.pairwise(path):
+        extended = max(begin[2], end[2]) > config.envelope.crossing_m + ROUNDING_M
+        anchor = (anchor or begin) if extended else None
+        aside = math.dist((anchor or begin)[:2], end[:2])
+        if end[2] <= begin[2] and aside <= STRAIGHT_M:
+            continue
+        found = _far(end, aside, plane, intent, config) if extended else None
+        if plane is None:
+            found = _unknown(begin, end, config) or found
+        else:
+            found = _deep(begin, end, plane, intent, config) or found
+            found = found or _low(begin, end, aside, plane, intent, config)
+        if found is not None:
+            return found
+    return None
+
+
+def _unknown(begin: Reading, end: Reading, config: DriverConfig) -> Breach | None:
+    limit, place = config.envelope.free_space_m, max(begin, end, key=lambda place: place[2])
+    if place[2] <= limit + ROUNDING_M:
+        return None
+    return Breach(code=EnvelopeFault.NO_PANEL, measured=place[2], limit=limit, place=place)
+
+
+def _far(end: Reading, aside: float, plane: PanelPlane | None, intent: Intent, config: DriverConfig) -> Breach | None:
+    limit = config.envelope.correction_m
+    if aside <= limit or (plane is not None and intent in SIDEWAYS):
+        return None
+    return Breach(code=EnvelopeFault.SIDEWAYS, measured=aside, limit=limit, place=end)
+
+
+def _deep(begin: Reading, end: Reading, plane: PanelPlane, intent: Intent, config: DriverConfig) -> Breach | None:
+    if config.stylus.kind != "z_axis":
+        return None  # it knows one extension, and its own spring bounds what that presses
+    for place in (begin, end):
+        beyond, limit = place[2] - plane.contact_m(*place[:2]), depth_limit_m(plane, *place[:2], intent, config)
+        if beyond > limit:
+            return Breach(code=EnvelopeFault.TOO_DEEP, measured=beyond, limit=limit, place=place)
+    return None
+
+
+def _low(
+    begin: Reading, end: Reading, aside: float, plane: PanelPlane, intent: Intent, config: DriverConfig
+) -> Breach | None:
+    if intent in SIDEWAYS or aside <= STRAIGHT_M:
+        return None
+    height, place = min((plane.contact_m(*place[:2]) - place[2], place) for place in (begin, end))
+    limit = config.envelope.side_height_m
+    return None if height >= limit else Breach(code=EnvelopeFault.TOO_LOW, measured=height, limit=limit, place=place)
