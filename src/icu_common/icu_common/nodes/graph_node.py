@@ -176,7 +176,7 @@ class _Graph:
             if before is not None:
                 before()
             callback(message)
-            if topic == CLOCK_TOPIC:
+            if topic == CLOCK_TOPIC and not raw:  # the node's own; a recorder's has bytes
                 self._run_clock_timers(message.clock.sec * 1_000_000_000 + message.clock.nanosec)
 
         def counted(message: Any) -> None:
