@@ -18,6 +18,7 @@ setup(
         *[("share/" + NAME + "/" + folder, sorted(glob(folder + "/*.*"))) for folder in FOLDERS],
     ],
     install_requires=["setuptools"],
+    extras_require={"export": ["pyarrow>=18", "rerun-sdk==0.41.0"]},  # bag_export's parquet, lerobot and rerun
     zip_safe=True,
     description="Simulated bench (instrument panel, stereo camera, mechanics, touch) and bring-up of the whole graph",
     license="Apache-2.0",
@@ -29,6 +30,7 @@ setup(
             "bag_play = scope_bench.cli.bag_play:main",
             "bag_check = scope_bench.cli.bag_check:main",
             "bag_info = scope_bench.cli.bag_info:main",
+            "bag_export = scope_bench.cli.bag_export:main",
             "beds = scope_bench.nodes.beds_node:main",
             "composed = scope_bench.cli.composed:main",
             "bring_up = scope_bench.cli.bring_up:main",

@@ -5,15 +5,18 @@ from __future__ import annotations
 import signal
 import struct
 import time
+from contextlib import closing
 from pathlib import Path
 
 import pytest
+from builtin_interfaces.msg import Time
 from foreign_bags import FORMS, STRING, TYPES, bag, text
 from nodes.bag_programs import Start
 from rclpy.duration import Duration
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import serialize_message
 from ros_rig import Ros
+from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Header, String
 from visualization_msgs.msg import Marker
 
@@ -222,3 +225,20 @@ def test_messages_that_the_middleware_loses_are_counted(ros: Ros, tmp_path: Path
     assert account.lines() == [
         f"missing: /words: {account.count} messages: sent, and lost before the recorder received them"
     ]
+
+
+def test_the_clock_of_a_simulation_is_recorded_like_any_topic(ros: Ros, tmp_path: Path) -> None:
+    """The recorder runs by it, and its own subscription has bytes; it ended with a traceback."""
+    clock = ros.plain("talker").create_publisher(Clock, "/clock", qos.RESULTS)
+    with closing(BagSink(lambda: BagWriter(tmp_path / "bag", keep_free=0))) as sink:
+        recorder = BagRecorder(sink, ["/clock"], context=ros.context)
+        ros.executor.add_node(recorder)
+        ros.spin_until(lambda: recorder.listens and clock.get_subscription_count() == 2, 40.0)
+        for second in (100, 130):
+            clock.publish(Clock(clock=Time(sec=second)))
+            ros.spin_until(lambda s=second: sink.messages == (1 if s == 100 else 2), 20.0, lambda: sink.messages)
+        ros.executor.remove_node(recorder)
+        recorder.destroy_node()
+    with BagReader(tmp_path / "bag") as found:
+        seconds = [found.decode(data, "rosgraph_msgs/msg/Clock").clock.sec for _, _, data in found.messages()]
+    assert seconds == [100, 130]

@@ -24,6 +24,7 @@ CALIBRATION = "harris_perception.cli.calibrate"
         ("harris_perception.cli.harris", ["detect", ""]),
         ("harris_perception.cli.panel_teach", ["check", ""]),
         ("harris_perception.cli.stereo", [".", "-o", ""]),
+        ("scope_bench.cli.bag_export", [".", "--out", ""]),
         ("scope_bench.cli.bag_info", [""]),
         ("scope_bench.cli.bag_play", [""]),
         ("scope_bench.cli.bag_record", ["-o", ""]),

@@ -74,6 +74,7 @@ NEED_NO_ROS = {
     *(
         "gantry_driver.cli.gantry_gcode",
         "gantry_driver.cli.gantry_guard",
+        "scope_bench.cli.bag_export",
         "scope_bench.cli.bag_info",
         "scope_bench.cli.bring_up",
         "scope_bench.cli.render",

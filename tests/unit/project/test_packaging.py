@@ -26,6 +26,7 @@ from parameter_files import file_values, parameters
 from icu_common.adapters.step_ledger import LEDGER_VARIABLE
 from scope_bench.adapters.graph_ledger import path_of_graph
 from scope_bench.core.graph_description import GraphError, load_graph
+from scope_bench.export.adapters.reading import LIBRARIES
 
 ROOT = Path(__file__).resolve().parents[3]
 PACKAGES = sorted(p.parent for p in ROOT.glob("src/*/package.xml"))
@@ -83,7 +84,14 @@ def test_package_xml_is_complete_for_bloom_and_names_what_is_imported(package: P
     named = {d.name for d in description.exec_depends}
     assert named <= OF_ROS | set(SYSTEM_KEYS) | {p.name for p in PACKAGES}, "a key that rosdep does not resolve"
     modules = {SYSTEM_KEYS.get(name, name) for name in named}
-    optional = {"scipy", "matplotlib", "skimage", "foxglove"}  # only for evaluation, and asked for by name when missing
+    optional = {
+        "scipy",
+        "matplotlib",
+        "skimage",
+        "foxglove",
+        "pyarrow",
+        "rerun",
+    }  # only for evaluation, and asked for by name when missing
     assert imports(package) - modules - BY_PIP - optional == set()
     assert (named & OF_ROS) - imports(package) == set(), "named and used by nothing"
 
@@ -102,11 +110,19 @@ def test_setup_py_says_the_same(package: Path, monkeypatch: pytest.MonkeyPatch) 
         tree = ast.parse((package / (module.replace(".", "/") + ".py")).read_text())
         assert function in {n.name for n in tree.body if isinstance(n, ast.FunctionDef)}, entry
     assert f"## {description.version}" in (ROOT / "CHANGELOG.md").read_text()
-    if "extras_require" in given:  # what pip brings where there is no rosdep
+    if "libraries" in given.get("extras_require", {}):  # what pip brings where there is no rosdep
         keys = {d.name for d in description.exec_depends} & set(SYSTEM_KEYS)
         assert {BY_NAME[name] for name in given["extras_require"]["libraries"]} == {SYSTEM_KEYS[key] for key in keys}
     for _, files in given["data_files"]:
         assert all((package / file).is_file() for file in files), files
+
+
+def test_the_extra_of_setup_py_installs_what_bag_export_names(monkeypatch: pytest.MonkeyPatch) -> None:
+    given: dict[str, Any] = {}
+    monkeypatch.setattr(setuptools, "setup", lambda **keywords: given.update(keywords))
+    monkeypatch.chdir(ROOT / "src" / "scope_bench")
+    runpy.run_path("setup.py")
+    assert given["extras_require"]["export"] == list(LIBRARIES.values())
 
 
 @pytest.mark.parametrize("path", sorted(ROOT.glob("src/*/config/example.yaml")), ids=lambda path: path.parts[-3])

@@ -10,6 +10,8 @@ import numpy as np
 from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_typestore
 
+from scope_bench.adapters.bag.definitions import decode
+
 IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
 SUFFIX, BESIDE = "/compressed", "/bag_record"
 """Pictures of a topic are recorded as topic/compressed; as topic/bag_record/compressed where somebody else has that."""
@@ -51,7 +53,7 @@ class PictureCodec:
         ValueError
             For encodings other than bgr8, rgb8 and mono8, and for pictures that OpenCV cannot compress.
         """
-        image: Any = self._types.deserialize_cdr(data, IMAGE)
+        image: Any = decode(self._types, data, IMAGE)
         if image.encoding not in _CHANNELS:
             raise ValueError(f"pictures in {image.encoding!r} cannot be compressed, only {', '.join(_CHANNELS)}")
         rows = np.asarray(image.data, np.uint8).reshape(image.height, image.step)
@@ -77,7 +79,7 @@ class PictureCodec:
             If the picture cannot be decoded.
         """
         try:
-            message: Any = self._types.deserialize_cdr(data, COMPRESSED)
+            message: Any = decode(self._types, data, COMPRESSED)
         except SerdeError as error:
             raise ValueError(f"not a {COMPRESSED}: {error}") from error
         packed = np.asarray(message.data, np.uint8)

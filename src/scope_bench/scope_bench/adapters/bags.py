@@ -29,7 +29,7 @@ from rosbags.rosbag2.storage_sqlite3 import Sqlite3Writer
 from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
-from scope_bench.adapters.bag.definitions import describes, hash_of, with_definitions
+from scope_bench.adapters.bag.definitions import decode, describes, hash_of, with_definitions
 from scope_bench.adapters.bag.readers import BagFileReader, joined
 from scope_bench.adapters.bag.writers import PartWriter
 
@@ -365,7 +365,7 @@ class BagReader:
 
     def decode(self, data: bytes, msgtype: str) -> Any:
         """Return the message as rosbags' own object, without ROS."""
-        return self.types.deserialize_cdr(data, msgtype)
+        return decode(self.types, data, msgtype)
 
     def close(self) -> None:
         self._reader.close()

@@ -1,4 +1,4 @@
-"""Show the contents of a rosbag2 bag, or save the readable part of a broken one."""
+"""Show topics, rates, gaps and goals of a rosbag2 bag, or save the readable part of a broken one."""
 
 from __future__ import annotations
 
@@ -6,20 +6,31 @@ import argparse
 import os
 import shutil
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from datetime import datetime, timezone
+from pathlib import Path
 
 from icu_common.adapters.program_end import ends_quietly
 from icu_common.core.option_bounds import named_path
 from scope_bench.adapters.bag_repair import repair
 from scope_bench.adapters.bags import BagError, BagReader
+from scope_bench.export.adapters.pictures import save_strip
+from scope_bench.export.adapters.reading import cameras, namespace_of, session_of, times_of
+from scope_bench.export.core.overview import check_lines, gap_text, gaps, goal_lines
 
 
 def parser() -> argparse.ArgumentParser:
     """Return the command line's description."""
     result = argparse.ArgumentParser(prog="bag_info", description=__doc__)
     result.add_argument("bag", type=named_path, help="folder with metadata.yaml, or a .mcap or .db3 file")
-    result.add_argument("--check", action="store_true", help="read every message")
+    result.add_argument("--check", action="store_true", help="count the messages that can be read")
+    result.add_argument("--brief", action="store_true", help="topics only, without reading the messages")
+    result.add_argument(
+        "--strip", type=named_path, metavar="FILE", help="save an image: thumbnails over time (.png, .jpg)"
+    )
+    result.add_argument(
+        "--namespace", type=namespace_of, default="", help="robot whose goals are meant, as bed_1 (none)"
+    )
     result.add_argument("--repair", type=named_path, metavar="NEW_BAG", help="save all whole messages into a new bag")
     return result
 
@@ -37,7 +48,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
             print(f"{count} messages saved in {options.repair}" + (f"; not all: {end}" if end else ""))
             return 0
         with BagReader(options.bag) as bag:
-            print(description(bag), flush=True)
+            if options.brief:
+                print(description(bag), flush=True)
+            else:
+                print(overview(bag, options.namespace, options.strip), flush=True)
             if options.check:
                 print(f"{bag.check()} messages can be read")
     except BagError as error:
@@ -48,8 +62,31 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0
 
 
-def description(bag: BagReader) -> str:
-    """Return what is in a bag, a line for each topic."""
+def overview(bag: BagReader, namespace: str = "", picture: Path | None = None) -> str:
+    """Return the description of a bag with gaps, goals, and what a replay of it can check; save a picture strip.
+
+    Raises
+    ------
+    BagError
+        If the bag is broken, after its description was printed, or the picture cannot be saved.
+    """
+    try:
+        times = times_of(bag)
+        session = session_of(bag, namespace)
+    except BagError:
+        print(description(bag), flush=True)
+        raise
+    found = {topic: gap_text(some, bag.start_ns) for topic, at in times.items() if (some := gaps(at)) is not None}
+    topics = {name.removeprefix(namespace) for name in times if name.startswith(namespace + "/")}
+    lines = [description(bag, found), *goal_lines(session.goals, bag.start_ns), *check_lines(topics)]
+    if picture is not None:
+        save_strip(bag, times, list(cameras(bag, namespace)), picture)
+        lines.append(f"thumbnails: {picture}")
+    return "\n".join(lines)
+
+
+def description(bag: BagReader, gaps_of: Mapping[str, str] | None = None) -> str:
+    """Return what is in a bag, a line for each topic, and one for the gaps of a topic."""
     files = [bag.path] if bag.path.is_file() else [p for p in bag.path.iterdir() if p.is_file()]
     start = datetime.fromtimestamp(bag.start_ns / 1e9, timezone.utc)
     seconds = bag.duration_ns / 1e9
@@ -66,6 +103,8 @@ def description(bag: BagReader) -> str:
             lines.append(
                 f"  {'':<{width}} metadata.yaml lists {topic.announced} messages, the files have {topic.count}"
             )
+        if text := (gaps_of or {}).get(topic.name):
+            lines.append(f"  {'':<{width}} {text}")
     return "\n".join(lines)
 
 

@@ -5,8 +5,11 @@ from __future__ import annotations
 import contextlib
 import functools
 import re
+import struct
+from typing import Any
 
 from rosbags.interfaces import MessageDefinition, MessageDefinitionFormat
+from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
@@ -48,6 +51,29 @@ def describes(types: Typestore, kind: str) -> bool:
     except (TypesysError, KeyError, RecursionError):  # a definition may contain itself
         return False
     return True
+
+
+def decode(types: Typestore, data: bytes, kind: str) -> Any:
+    """Return a message as rosbags' own object.
+
+    rclpy's ``serialize_message`` appends bytes, more with each empty sequence of doubles; they are ignored, as the
+    middleware does. rosbags itself rejects more than three.
+
+    Raises
+    ------
+    SerdeError
+        If the message is no CDR, too short for its type, or the type is not known.
+    """
+    if len(data) < 4 or data[0] or data[1] > 1:
+        raise SerdeError(f"a message of {kind} is no CDR")
+    try:
+        known = types.get_msgdef(kind)
+        read = known.deserialize_cdr_le if data[1] else known.deserialize_cdr_be
+        return read(data[4:], 0, known.cls, types)[0]
+    except (KeyError, TypesysError) as error:
+        raise SerdeError(f"the definition of {kind} is not known") from error
+    except (struct.error, UnicodeDecodeError, ValueError, IndexError) as error:
+        raise SerdeError(f"a message of {kind} cannot be read: {error}") from error
 
 
 def hash_of(kind: str, definition: MessageDefinition) -> str:

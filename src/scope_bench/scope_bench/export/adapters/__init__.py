@@ -1,0 +1,1 @@
+"""Parts that read bags and write files."""

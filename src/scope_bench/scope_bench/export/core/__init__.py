@@ -1,0 +1,1 @@
+"""Pure parts: sessions, frames of a dataset, and what a bag contains."""
