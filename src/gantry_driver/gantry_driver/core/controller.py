@@ -87,6 +87,7 @@ class Controller(GoalPhases):
             if self._job is not None:
                 self._break_off(self._job, Fault(cause=f"the clock jumped back by {jumped_back_s:.1f} s", stop=True))
         self._take(event)
+        self._world.plane_due = math.isfinite(self._sigma_m) and not self._plane_ns
         if self._job is not None:
             fault = self._fault(self._job)
             # On the way out after one fault only those count that forbid the rest of the way.
@@ -220,6 +221,8 @@ class Controller(GoalPhases):
     def _take_driver(self, text: str) -> None:
         self._world.driver = text
         state = text.partition(":")[0]
+        if state in ("disconnected", "connecting"):
+            self._plane_ns = 0  # a new guard does not know the panel
         self._world.rivals.driver_is(state)
         if state == "stopped":
             self._world.unchecked = False

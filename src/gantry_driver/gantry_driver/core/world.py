@@ -73,6 +73,8 @@ class World:
     tracked_ns: int = 0
     """Stamp of the newest image in which the stylus tracker has looked for the tip."""
     panel_alarm: str = ""
+    plane_due: bool = False
+    """Whether the driver has yet to get the panel's plane, without which it rejects every touch."""
     panel: PanelMap | None = None
     seen: PanelSeen | None = None
     hidden_ns: dict[str, int] = field(default_factory=dict)
@@ -401,6 +403,13 @@ class World:
                 every_goal=False,
                 passing=pose_age <= patient_limit_s(config.panel_max_age_s, config),
                 delay=self.panel_delay(config),
+            )
+        elif self.plane_due and not self.unrest():
+            yield Obstacle(
+                state="waiting: the panel's plane is being measured",
+                reason="the panel's plane is being measured, and the driver does not know it yet",
+                every_goal=False,
+                passing=True,
             )
 
 

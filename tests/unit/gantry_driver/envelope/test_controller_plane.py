@@ -82,6 +82,27 @@ def test_no_plane_is_told_while_the_stylus_is_extended_or_the_machine_moves() ->
     assert len(planes(bench)) > before and set(extended) == {0}
 
 
+def test_a_goal_right_after_the_calibration_waits_until_the_driver_has_the_plane() -> None:
+    """Without the plane the driver would reject its way down."""
+    bench = calibrated()
+    assert planes(bench) == [] and bench.controller.state == "waiting: the panel's plane is being measured"
+    assert bench.do("press:RUN_STOP").outcome is Outcome.REACHED
+    first = next(i for i, action in enumerate(bench.actions) if isinstance(action, msg.ReportPlane))
+    assert not any(isinstance(action, msg.SendTrajectory) for action in bench.actions[:first])
+
+
+def test_a_driver_that_was_gone_gets_the_plane_again_before_a_goal_begins() -> None:
+    bench = calibrated()
+    bench.run(2.0)
+    assert planes(bench) and bench.controller.state == "ready"
+    bench.tell(msg.DriverState(text="disconnected: the guard has ended"))
+    bench.tell(msg.DriverState(text="idle"))
+    assert bench.controller.state == "waiting: the panel's plane is being measured"
+    count = len(planes(bench))
+    bench.run(1.0)
+    assert len(planes(bench)) > count and bench.controller.state == "ready"
+
+
 def test_goal_after_goal_the_plane_stays_young() -> None:
     """Each goal ends as soon as its effect is seen, and the next one begins at once."""
     bench = calibrated()
