@@ -145,7 +145,7 @@ def run_seed(seed: int, rig: Rig) -> str:
     if fault.before:
         fault.do(rig, rng)
     program = bool(seed // len(FAULTS) % 2)
-    if rig.machine.config is SERVO:
+    if rig.machine.config.stylus.kind == SERVO.stylus.kind:
         low, way = way[0][2] > 0, [(x, y, 0.0) for x, y, _ in way]
         points = [(x, y, 0.02 if low and n < len(way) - 1 else 0.0) for n, (x, y, _) in enumerate(way)]
     else:

@@ -152,7 +152,11 @@ def test_who_asks_a_node_for_help_gets_it_and_no_node(
     assert program() == 0
     shown = capsys.readouterr().out
     assert shown.startswith("usage: beds --ros-args") and "ros2 param describe" in shown
-    assert ("shows them on one page" in shown) if program is beds_node.main else ("stereo evaluate FOLDER" in shown)
+    assert (
+        ("shows several robots on one page" in shown)
+        if program is beds_node.main
+        else ("stereo evaluate FOLDER" in shown)
+    )
 
 
 def test_wrong_names_are_refused(ros: Ros) -> None:

@@ -103,9 +103,13 @@ def test_two_demos_run_side_by_side(computer: Computer, tmp_path: Path) -> None:
     wait_until(looks, "the preparation waits for cameras", DEADLINE_S, prepare.read_text)
     stages = [json.loads(line)["stage"] for line in prepare.read_text().splitlines()]
     assert "homing" in stages and stages[-1] == "cameras", prepare.read_text()
-    logs = [(folder / "logs" / "bring_up.log").read_text() for folder in (state, state / "domain-1")]
-    states = [re.findall(r"\[gantry\.serial_driver\]: (\w+)", text) for text in logs]
-    assert states[0][-1] == "unhomed" and states[1][-1] == "idle"
+
+    def driver_states() -> list[str]:
+        logs = [(folder / "logs" / "bring_up.log").read_text() for folder in (state, state / "domain-1")]
+        return [re.findall(r"\[gantry\.serial_driver\]: (\w+)", text)[-1] for text in logs]
+
+    # The log may come a moment after the preparation has heard the state.
+    wait_until(lambda: driver_states() == ["unhomed", "idle"], "only the second is homed", DEADLINE_S, driver_states)
     for text in (first, second):
         address = re.findall(r"http://\S+token=\S+", text)[0]
         page = subprocess.run(
