@@ -90,7 +90,12 @@ def test_nothing_is_computed_for_a_recording_that_the_page_does_not_show(tmp_pat
 
 def test_a_recording_is_scheduled_as_ordinary_programs_are(tmp_path: Path) -> None:
     """It compresses pictures for as long as it runs, and would hold up all others if it came first."""
-    script = "import os, sys; sys.stdin.read(); os.write(2, str(os.sched_getscheduler(0)).encode())"
+    # It is started with its parent's scheduling, which changes at once, but not before it may run.
+    script = f"""import os, time
+end = time.monotonic() + {WITHIN_S / 2}
+while os.sched_getscheduler(0) != os.SCHED_OTHER and time.monotonic() < end:
+    time.sleep(0.01)
+os.write(2, str(os.sched_getscheduler(0)).encode())"""
     record = made(tmp_path / "record", f"#!{sys.executable}\n{script}\n")
     code = f"""import os, pathlib, queue, sys
 from icu_common.adapters.real_time import BRIDGE, ask_for_real_time

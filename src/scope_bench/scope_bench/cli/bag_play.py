@@ -163,7 +163,7 @@ class Playing:
             aside=not options.moving,
             toggle=self._toggle,
         )
-        self._step = StepPlayer(session, self._node, bag, options.patience) if options.in_step else None
+        self._step = StepPlayer(session, self._node, bag, self._names, options.patience) if options.in_step else None
         session.executor.add_node(self._node)
         self._line = ProgressLine()
         self._next_clock_s = self._next_look_s = 0.0

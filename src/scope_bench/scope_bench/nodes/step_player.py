@@ -9,11 +9,13 @@ recording are made anew for the graph that listens:
 
 from __future__ import annotations
 
+import contextlib
 import time
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
+from rcl_interfaces.srv import ListParameters
 from rclpy.serialization import deserialize_message, serialize_message
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
@@ -31,6 +33,8 @@ from scope_bench.nodes.bag_player import BagPlayer
 CUE, TRAJECTORY, ANSWER = "bag/cue", "gantry/trajectory", "gantry/trajectory_result"
 SETTLED_S = 1.0
 """Seconds without a change before playback begins."""
+_ASKED_AGAIN_S = 1.0
+"""Seconds for which an answer of a service is waited for before it is called again."""
 _LOOK_S = 0.001
 """Interval of looks at the ledger while messages are being processed."""
 
@@ -42,13 +46,15 @@ class StepPlayer:
     ----------
     session, node
         That spin and publish.
-    bag
-        What is played.
+    bag, topics
+        The bag, and its topics that are played.
     patience_s
         Longest wait for a message to be dealt with, and for the graph to be complete.
     """
 
-    def __init__(self, session: Session, node: BagPlayer, bag: BagReader, patience_s: float) -> None:
+    def __init__(
+        self, session: Session, node: BagPlayer, bag: BagReader, topics: Collection[str], patience_s: float
+    ) -> None:
         self._session, self._node, self._patience_s = session, node, patience_s
         assert this_process.ledger is not None
         # This class has a limit of its own, which is an error.
@@ -56,6 +62,7 @@ class StepPlayer:
         self._orders = _recorded_trajectories(bag)
         self._trajectories: list[str] = []
         node.create_subscription(JointTrajectory, TRAJECTORY, self._on_trajectory, RESULTS)
+        self._cues = {service: node.create_client(Trigger, service) for service in _cues(bag, topics)}
 
     def _on_trajectory(self, message: JointTrajectory) -> None:
         self._trajectories.append(read_frame(message.header.frame_id, stamp_ns(message.header.stamp))[0])
@@ -76,6 +83,8 @@ class StepPlayer:
                     raise BagError(reason)
                 self._gate.restart()
                 still_s = time.monotonic()
+        for service in self._cues:
+            self._reach(service)
 
     def _missing(self, processes: int) -> str:
         """Return what playback cannot begin without yet, "" for nothing."""
@@ -121,19 +130,55 @@ class StepPlayer:
                     value.value = self._trajectories[number]
         return bytes(serialize_message(message))
 
-    def _call(self, service: str) -> None:
-        client = self._node.create_client(Trigger, service)
+    def _reach(self, service: str) -> None:
+        """Wait until the node of a service knows where its answers go.
+
+        A node that does not know it yet drops the answer, and only its side can tell. Discovery announces the ends of a
+        process in their order (DDSI-RTPS 8.5.4, reliable), so a node that answers a client made now knows the earlier
+        ones as well. Listing parameters may be repeated; a cue may not.
+        """
         deadline_s = time.monotonic() + self._patience_s
-        while self._session.goes_on and not client.service_is_ready() and time.monotonic() < deadline_s:
-            self._session.spin(0.02)
+        while (owner := self._owner(service)) is None:
+            self._session.spin(0.05)
+            if time.monotonic() > deadline_s or not self._session.goes_on:
+                raise BagError(f"{service}: no node has this service")
+        client = self._node.create_client(ListParameters, f"{owner}/list_parameters")
+        try:
+            while self._session.goes_on and time.monotonic() < deadline_s:
+                future = client.call_async(ListParameters.Request()) if client.service_is_ready() else None
+                again_s = time.monotonic() + _ASKED_AGAIN_S
+                while self._session.goes_on and time.monotonic() < again_s:
+                    self._session.spin(0.02)
+                    if future is not None and future.done():
+                        return
+        finally:
+            self._node.destroy_client(client)
+        raise BagError(f"{service}: its node {owner} does not answer")
+
+    def _owner(self, service: str) -> str | None:
+        for name, namespace in self._node.get_node_names_and_namespaces():
+            with contextlib.suppress(RuntimeError):  # rclpy's error for a node that has ended meanwhile
+                offered = dict(self._node.get_service_names_and_types_by_node(name, namespace))
+                if service in offered:
+                    return f"{namespace.rstrip('/')}/{name}"
+        return None
+
+    def _call(self, service: str) -> None:
+        client = self._cues[service]
+        deadline_s = time.monotonic() + self._patience_s
         future = client.call_async(Trigger.Request())
         while self._session.goes_on and not future.done() and time.monotonic() < deadline_s:
             self._session.spin(0.02)
         answer = future.result() if future.done() else None
-        self._node.destroy_client(client)
         if answer is None or not answer.success:
             raise BagError(f"{service}: {'no answer' if answer is None else answer.message}")
         print(f"{service}: {answer.message}")
+
+
+def _cues(bag: BagReader, topics: Collection[str]) -> list[str]:
+    """Return the services that the played messages on ``bag/cue`` name."""
+    names = [name for name in topics if name.endswith(CUE)]
+    return sorted({deserialize_message(data, String).data for _, _, data in bag.messages(names)})
 
 
 def _recorded_trajectories(bag: BagReader) -> Sequence[str]:
