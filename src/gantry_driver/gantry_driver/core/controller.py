@@ -198,7 +198,7 @@ class Controller(GoalPhases):
             self._actions.append(msg.ReportClear(height_m=height_m))
 
     def _report_plane(self) -> None:
-        """Tell the driver where the panel is, at most once in a second, while the machine rests with the stylus up."""
+        """Report the panel's plane to the driver, at most once a second, while the machine rests with the stylus up."""
         world = self._world
         pose, axes, panel = world.resting_base_from_panel, world.base_from_reading, world.panel
         if world.rivals.text or world.panel_alarm:

@@ -1,4 +1,4 @@
-"""What a trajectory is for, and how its name in ``header.frame_id`` says so: ``turn/`` or ``turn/NAME``."""
+"""Intent of a trajectory, and its form in ``header.frame_id``: ``turn/`` or ``turn/NAME``."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The controller's estimate of the panel's plane, from the poses that were seen last."""
+"""The controller's estimate of the panel's plane, from the latest poses."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from icu_common.core.geometry import Array, Transform
 
 LEAST_POSES, MOST_POSES = 2, 10
 WINDOW_S = 8.0
-"""Age at which a pose counts no more."""
+"""Maximum age of a pose relative to the newest one."""
 HELD_SIGMA_M = 0.00015
 """Standard deviation that no scatter shows: recognition holds a pose until the next differs by more than that
 (``recognition.agreement.tolerance_mm``)."""
@@ -25,11 +25,11 @@ class PlaneEstimate:
         self._poses: deque[tuple[int, Transform]] = deque(maxlen=MOST_POSES)
 
     def forget(self) -> None:
-        """Begin again: what was seen is in doubt."""
+        """Drop all poses: they are in doubt."""
         self._poses.clear()
 
     def take(self, base_from_panel: Transform, stamp_ns: int) -> None:
-        """Take a pose that was seen at a time; one that was taken already changes nothing."""
+        """Add a pose with the stamp of its image; ignore one that is not newer than the last."""
         if self._poses and stamp_ns <= self._poses[-1][0]:
             return
         self._poses.append((stamp_ns, base_from_panel))
@@ -38,7 +38,7 @@ class PlaneEstimate:
 
     @property
     def stamp_ns(self) -> int:
-        """When the newest pose was seen."""
+        """Stamp of the newest pose."""
         return self._poses[-1][0] if self._poses else 0
 
     def plane(

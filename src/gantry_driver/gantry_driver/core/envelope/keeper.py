@@ -1,4 +1,4 @@
-"""The plane that the guard keeps, and what it says of each path."""
+"""The guard's plane, and its check of each path."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class Envelope:
         self._seen_at = -math.inf
 
     def take(self, plane: PanelPlane, seen_at: float, config: DriverConfig) -> str:
-        """Take the plane as it was seen at a time; return what people must know of it, empty for nothing."""
+        """Take the plane and the time of its image; return a warning for people, empty for none."""
         before, self._plane, self._seen_at = self._plane, plane, seen_at
         at_x, at_y, _ = plane.at_m
         sigma, limit = plane.sigma_m(at_x, at_y), config.envelope.max_sigma_m
@@ -47,7 +47,7 @@ class Envelope:
         return f"the panel's plane has moved by up to {1000.0 * moved:.1f} mm within the travel"
 
     def breach(self, motion: Motion, start: Reading, intent: Intent, config: DriverConfig, now: float) -> Breach | None:
-        """Return where a motion leaves the space that it may use, None where it does not."""
+        """Return the first place where a motion leaves its allowed space, None if it stays inside."""
         age_s, limit_s = now - self._seen_at, config.envelope.max_age_s
         known = self._plane if age_s <= limit_s else None
         found = breach_of(path_of(motion, start, config), known, intent, config)
@@ -57,7 +57,7 @@ class Envelope:
 
 
 def path_of(motion: Motion, start: Reading, config: DriverConfig) -> list[Reading]:
-    """Return the readings at the ends of a motion's parts, from where it begins."""
+    """Return the readings at the ends of a motion's parts, beginning with its start."""
     path = [start]
     for part in motion.parts:
         x, y, z = path[-1]

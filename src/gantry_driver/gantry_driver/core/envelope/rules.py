@@ -1,4 +1,4 @@
-"""Comparison of a path with the space that it may use, before a byte of it is sent."""
+"""Comparison of a path with its allowed space, before its first byte is sent."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ _TEXTS = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Breach:
-    """Where a path leaves the space that it may use; metres, or seconds of a plane that is too old."""
+    """Place where a path leaves its allowed space; values in metres, or in seconds for a plane that is too old."""
 
     code: EnvelopeFault
     measured: float
@@ -61,7 +61,7 @@ class Breach:
     place: Reading | None = None
 
     def text(self) -> str:
-        """Return it for people."""
+        """Return a text for people."""
         scale = 1.0 if self.code is EnvelopeFault.OLD_PANEL else 1000.0
         return _TEXTS[self.code].format(f"{scale * self.measured:.1f}", f"{scale * self.limit:.1f}")
 
@@ -86,13 +86,13 @@ def depth_limit_m(plane: PanelPlane, x: float, y: float, intent: Intent, config:
 def breach_of(path: Sequence[Reading], plane: PanelPlane | None, intent: Intent, config: DriverConfig) -> Breach | None:
     """Return the first breach of a path.
 
-    A plane is straight, and so is each move, so that the ends of the moves are their extremes. A stylus that stands
-    too deep already may rise, and do nothing else.
+    The plane and each move are straight, so the extremes are at the ends of the moves. A stylus that is already too
+    deep may only rise.
 
     Parameters
     ----------
     path
-        Readings in m, from where the machine stands.
+        Readings in m, beginning with the current one.
     plane
         None while it is unknown.
     """
