@@ -162,3 +162,23 @@ def test_programs_of_another_participant_of_this_process_are_alive(ros: Any) -> 
     with participant(ros.context.get_domain_id()) as other:
         other.plain("first").create_publisher(PoseStamped, TOPIC, 10)
         ros.spin_until(lambda: node.texts, 10.0)
+
+
+def test_a_program_that_ends_keeps_its_name_until_its_publisher_is_gone(
+    ros: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The graph forgets the name first; the reason of the stop must not change to a program without a name."""
+    node = ros.node(Watcher)
+    for name in ("first", "second"):
+        ros.plain(name).create_publisher(PoseStamped, TOPIC, 10)
+    ros.spin_until(lambda: node.texts, 10.0)
+    ends = node.get_publishers_info_by_topic(f"/{TOPIC}")
+    for end in ends:
+        if end.node_name == "second":
+            end.node_name, end.node_namespace = "_NODE_NAME_UNKNOWN_", "_NODE_NAMESPACE_UNKNOWN_"
+    monkeypatch.setattr(node, "get_publishers_info_by_topic", lambda topic: ends)
+    ended_s = time.monotonic()
+    ros.spin_until(lambda: time.monotonic() - ended_s > 2.0, 5.0)
+    assert node.texts == ["two programs publish panel/pose: /first and /second"]
+    monkeypatch.setattr(node, "get_publishers_info_by_topic", lambda topic: [e for e in ends if e.node_name == "first"])
+    ros.spin_until(lambda: node.texts[-1] == "", 5.0)

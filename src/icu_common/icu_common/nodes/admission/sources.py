@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from rclpy.clock import Clock
@@ -40,6 +40,8 @@ class _Watched:
     names: tuple[str, ...] = ()
     text: str = ""
     undecided: bool = False
+    names_of: dict[bytes, str] = field(default_factory=dict)
+    """Last known name of each publisher: of one that ends, the graph forgets the name before the publisher."""
 
 
 class SourceWatch:
@@ -85,7 +87,7 @@ class SourceWatch:
         watched = self._watched.get(topic)
         if watched is None:  # an event before create_subscription has returned
             return ""
-        found = watched.sources.judge(self._sources_of(watched.subscription), time.monotonic())
+        found = watched.sources.judge(self._sources_of(watched), time.monotonic())
         watched.names, watched.undecided = found.names, found.undecided
         # A successor whose name is not known yet must not count as a second program.
         text = watched.text if found.unnamed else watched.judge(watched.subscription.topic_name, found.names)
@@ -103,7 +105,8 @@ class SourceWatch:
         if not open_ones:
             self._timer.cancel()
 
-    def _sources_of(self, subscription: Subscription) -> list[Source]:
+    def _sources_of(self, watched: _Watched) -> list[Source]:
+        subscription = watched.subscription
         topic = subscription.topic_name
         if not self._processes.known:
             for end in self._node.get_subscriptions_info_by_topic(topic):
@@ -111,11 +114,12 @@ class SourceWatch:
                     self._processes.learn(bytes(end.endpoint_gid))
         package = subscription.msg_type.__module__.partition(".")[0]
         kind = f"{package}/msg/{subscription.msg_type.__name__}"
-        return [
-            Source(name=_full_name(end), process=bytes(end.endpoint_gid[:PREFIX_BYTES]))
-            for end in self._node.get_publishers_info_by_topic(topic)
-            if end.topic_type == kind  # other types are not received
-        ]
+        ends = [end for end in self._node.get_publishers_info_by_topic(topic) if end.topic_type == kind]
+        before = watched.names_of
+        watched.names_of = {
+            gid: _full_name(end) or before.get(gid, "") for end in ends for gid in (bytes(end.endpoint_gid),)
+        }
+        return [Source(name=name, process=gid[:PREFIX_BYTES]) for gid, name in watched.names_of.items()]
 
 
 def _full_name(end: TopicEndpointInfo) -> str:
