@@ -161,7 +161,7 @@ class DriverConfig(Config):
         guards="the machine moves on after the operator has left",
     )
     node_silence_s: float = setting(
-        0.09,
+        0.1,
         "Motion stops when this node sends the guard no sign of life for longer although it could run",
         minimum=0.05,
         maximum=0.5,
