@@ -9,6 +9,7 @@ import dataclasses
 import json
 import re
 import sys
+import threading
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
@@ -43,12 +44,13 @@ def installed() -> Iterator[None]:
 def replayed(folder: Path, *, rate: float = 1000.0, duration_s: float = 0.0) -> dict[str, TopicMessages]:
     """Replay the bag, or its beginning."""
     run = dataclasses.replace(EXPECTATION.run, duration_s=duration_s)
+    stop = threading.Event()
     replay = Replay(folder, free_domain(), run, len(run.nodes), ["sequencer"], ROOT / "config")
     try:
-        topics = replay.wait_until_started(lambda: False)
+        topics = replay.wait_until_started(stop)
         # A part is no calibration.
         played = played_topics(BAG, {*topics.read, *([] if duration_s else ["/bag/cue"])}, topics.published, ())
-        out = replay.play(BAG, played, list(EXPECTATION.topics), lambda: False, rate=rate)
+        out = replay.play(BAG, played, list(EXPECTATION.topics), stop, rate=rate)
     finally:
         assert replay.stop() == 0, replay.tail()
     return read_messages(out)

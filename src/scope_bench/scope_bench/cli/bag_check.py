@@ -239,11 +239,11 @@ class Check:
         domain = free_domain()
         replay = Replay(folder, domain, run, count, left_out, self._config)
         try:
-            graph = replay.wait_until_started(self._stop.is_set)
+            graph = replay.wait_until_started(self._stop)
             played = played_topics(bag, {*graph.read, _CUE}, graph.published, run.exclude)
             record = self._recorded(graph, compared, domain)
             print(f"{job.name}: playing {len(played)} topics to {count} nodes", flush=True)
-            return replay.play(bag, played, record, self._stop.is_set)
+            return replay.play(bag, played, record, self._stop)
         except ReplayError:
             shutil.copytree(
                 folder, job.out / "logs", dirs_exist_ok=True, ignore=shutil.ignore_patterns("run", "*.mcap")
@@ -258,7 +258,7 @@ class Check:
             raise CheckError(f"no node publishes {', '.join(sorted(unknown))}; they publish {there}")
         if compared:
             return list(compared)
-        types = types_of(graph.published, domain, self._stop.is_set)
+        types = types_of(graph.published, domain, self._stop)
         return sorted(name for name, kind in types.items() if kind != IMAGE)
 
     def _programs(self, run: Run, folder: Path) -> tuple[int, list[str]]:

@@ -143,8 +143,7 @@ class GuardLink:
     def run(self, goal_id: str, names: list[str], points: list[Waypoint], **values: Any) -> None:
         """Start a trajectory with the ``values`` of :meth:`Machine.run`; the answers are events."""
         try:
-            answer = self.ask("run", goal_id=goal_id, names=names, points=waypoint_values(points), **values)
-            if answer == NO_ANSWER:
+            if self.ask("run", goal_id=goal_id, names=names, points=waypoint_values(points), **values) == NO_ANSWER:
                 raise FrameError(NO_ANSWER)
         except FrameError as error:
             text = f"{len(points)} points"

@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -107,7 +108,7 @@ class Replay:
                 start_new_session=True,  # Ctrl-C is for this program, which ends them in order
             )
 
-    def wait_until_started(self, stopping: Callable[[], bool]) -> Topics:
+    def wait_until_started(self, stop: threading.Event) -> Topics:
         """Wait until every program of the graph serves its callbacks, and return what they read and publish.
 
         Raises
@@ -122,7 +123,7 @@ class Replay:
                 found.append(topics)
             return bool(found)
 
-        self._wait(started, "programs have not started", stopping)
+        self._wait(started, "programs have not started", stop)
         return found[0]
 
     def play(
@@ -130,7 +131,7 @@ class Replay:
         bag: Path,
         topics: Sequence[str],
         record: Sequence[str],
-        stopping: Callable[[], bool],
+        stop: threading.Event,
         *,
         rate: float = FASTEST,
     ) -> Path:
@@ -140,8 +141,8 @@ class Replay:
         ----------
         bag, topics, record
             Bag, its topics that are played, and the topics that are recorded.
-        stopping
-            Ends the replay.
+        stop
+            Ends the replay when it is set.
         rate
             Speed; messages that are still being processed are waited for at any speed.
 
@@ -154,7 +155,7 @@ class Replay:
         recorder = self._start("bag_record", [*record, "-o", str(out)], self.folder / "record.log")
         try:
             self._wait(
-                lambda: self._subscribed(recorder.pid, record), "the recorder has not subscribed", stopping, recorder
+                lambda: self._subscribed(recorder.pid, record), "the recorder has not subscribed", stop, recorder
             )
             arguments = [str(bag), "--in-step", str(self._count + 1), "--rate", f"{rate:g}", "--topics", *topics]
             arguments += ["--moving"] if self._run.moving else []
@@ -162,8 +163,9 @@ class Replay:
             player = self._start("bag_play", arguments, self.folder / "play.log")
             try:
                 while player.poll() is None:
-                    self._check(stopping)
-                    time.sleep(_LOOK_S)
+                    self._check(stop)
+                    with contextlib.suppress(subprocess.TimeoutExpired):
+                        player.wait(_LOOK_S)
             finally:
                 _end(player)
             if player.returncode:
@@ -174,8 +176,8 @@ class Replay:
             raise ReplayError(f"bag_record ended with {code}: {last_line(self.folder / 'record.log')}")
         return out
 
-    def _check(self, stopping: Callable[[], bool]) -> None:
-        if stopping():
+    def _check(self, stop: threading.Event) -> None:
+        if stop.is_set():
             raise ReplayError("interrupted")
         if (code := self._graph.poll()) is not None:
             raise ReplayError(f"the graph ended with {code}: {last_line(self._log)}")
@@ -184,17 +186,17 @@ class Replay:
         self,
         done: Callable[[], bool],
         what: str,
-        stopping: Callable[[], bool],
+        stop: threading.Event,
         process: subprocess.Popen[bytes] | None = None,
     ) -> None:
         end_s = time.monotonic() + _STARTED_S
         while not done():
-            self._check(stopping)
+            self._check(stop)
             if process is not None and process.poll() is not None:
                 raise ReplayError(f"{what}: {last_line(self.folder / 'record.log')}")
             if time.monotonic() > end_s:
                 raise ReplayError(f"{what} within {_STARTED_S:g} s: {last_line(self._log)}")
-            time.sleep(_LOOK_S)
+            stop.wait(_LOOK_S)
 
     def _topics(self) -> Topics | None:
         """Return the topics of the programs; None while one of them does not serve its callbacks yet."""

@@ -75,7 +75,7 @@ class TopicExpectation:
     missing
         Allowed difference of this number.
     every
-        Of so many messages one is kept and compared.
+        Interval of the messages that are kept and compared: 12 is each twelfth one.
     fields
         Tolerances by path.
     """

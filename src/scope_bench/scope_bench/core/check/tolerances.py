@@ -56,7 +56,7 @@ class Tolerance:
     ignored
         True for a field that is not compared.
     why
-        Reason, for the person who reads the expectation.
+        Reason for the limits, as a text.
     """
 
     limits: Mapping[str, float] = field(default_factory=dict)
