@@ -16,10 +16,10 @@ from gantry_driver.core.controller_config import ControllerConfig
 from gantry_driver.core.controller_messages import PointGoal
 from gantry_driver.core.effects import Knob, knob_of
 from gantry_driver.core.goal_job import NANO, Aim, Job
-from gantry_driver.core.patience import goal_limit_s
+from gantry_driver.core.patience import goal_limit_s, since
 from gantry_driver.core.scene import Refused, Scene
 from gantry_driver.core.targets import Touch
-from gantry_driver.core.world import World, since
+from gantry_driver.core.world import World
 from icu_common.core.delays import Delay, ResultCode
 from icu_common.core.frames import BASE, CAMERA_LEFT
 from icu_common.core.geometry import Array

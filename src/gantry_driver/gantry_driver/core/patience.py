@@ -5,8 +5,11 @@ Nothing here applies after the stylus has begun to go down: from then on every l
 
 from __future__ import annotations
 
+import math
+
 from gantry_driver.core.controller_config import ControllerConfig
 from gantry_driver.core.goal_job import NANO
+from icu_common.core.delays import Delay, ResultCode
 
 CLICK_MAX_AGE_S = 2.0
 """Maximum age of an order of a person, whatever held it up: an older one must never move anything."""
@@ -61,3 +64,24 @@ class HoldUp:
 def goal_limit_s(held_up_s: float, config: ControllerConfig) -> float:
     """Return the maximum age of a stamped goal; the controller's own hold-up is no fault of its sender."""
     return max(config.goal_max_age_s, min(config.goal_max_age_s + held_up_s, CLICK_MAX_AGE_S))
+
+
+def joints_delay(age_s: float, config: ControllerConfig) -> Delay | None:
+    """Return the delay of the machine's position of an age in seconds, None within its limit."""
+    return delay_beyond(ResultCode.SLOW, "joint_states", age_s, config.joints_timeout_s)
+
+
+def camera_delay(age_s: float, config: ControllerConfig) -> Delay | None:
+    """Return the delay of the left camera's images of an age in seconds, None within its limit."""
+    return delay_beyond(ResultCode.LATE_IMAGE, "image of the left camera", age_s, config.camera_timeout_s)
+
+
+def delay_beyond(code: ResultCode, what: str, age_s: float, limit_s: float) -> Delay | None:
+    """Return a delay, None for an age within the limit and for something that has never come."""
+    late = limit_s < age_s < math.inf
+    return Delay(code=code, what=what, measured_s=age_s, limit_s=limit_s) if late else None
+
+
+def since(age_s: float) -> str:
+    """Return an age as the end of "no image ...": ``for 1.2 s``, or ``yet`` where nothing has come."""
+    return f"for {age_s:.1f} s" if math.isfinite(age_s) else "yet"

@@ -11,8 +11,9 @@ import numpy as np
 from gantry_driver.core import controller_messages as msg
 from gantry_driver.core.controller_config import ControllerConfig
 from gantry_driver.core.goal_job import NANO, Fault, Obstacle
-from gantry_driver.core.patience import patient_limit_s
+from gantry_driver.core.patience import camera_delay, joints_delay, patient_limit_s, since
 from gantry_driver.core.scene import PanelMap, Scene
+from gantry_driver.core.sight.panel_obstacles import panel_obstacles
 from gantry_driver.core.sight.stylus_height import StylusHeight
 from gantry_driver.core.stylus_state import tells_of_stylus
 from icu_common.core.admission.rivals import RivalTopics
@@ -108,7 +109,7 @@ class World:
         joints_s, limit_s = self.age_s(self.readings_ns), config.joints_timeout_s
         if joints_s > (patient_limit_s(limit_s, config) if waiting else limit_s):
             cause = f"no joint_states {since(joints_s)}"
-            return Fault(cause=cause, lift=False, stop=not waiting, delay=_joints_delay(joints_s, config))
+            return Fault(cause=cause, lift=False, stop=not waiting, delay=joints_delay(joints_s, config))
         if self.heartbeat_age_s > config.heartbeat_timeout_s:
             age = since(self.heartbeat_age_s)
             return Fault(cause=f"lost the operator: no heartbeat {age}")
@@ -136,7 +137,7 @@ class World:
         camera_s, limit_s = self.age_s(self.camera_stamp_ns), config.camera_timeout_s
         if camera_s > (patient_limit_s(limit_s, config) if patient else limit_s):
             cause = f"the camera has stalled: no picture {since(camera_s)}"
-            return Fault(cause=cause, delay=_camera_delay(camera_s, config))
+            return Fault(cause=cause, delay=camera_delay(camera_s, config))
         # A dip of the confidence alone means nothing: the arm hides a part of the panel.
         if self.confidence >= config.min_confidence and self.camera_from_panel is not None:
             before, now = scene.camera_from_panel, self.camera_from_panel
@@ -243,7 +244,7 @@ class World:
     def delays(self, config: ControllerConfig) -> list[Delay]:
         """Return what is older than its limit now, though it came once, by slowness alone."""
         joints_s, camera_s = self.age_s(self.readings_ns), self.age_s(self.camera_stamp_ns)
-        found = [_joints_delay(joints_s, config), _camera_delay(camera_s, config), self.panel_delay(config)]
+        found = [joints_delay(joints_s, config), camera_delay(camera_s, config), self.panel_delay(config)]
         return [delay for delay in found if delay is not None]
 
     def take_confidence(self, value: float, config: ControllerConfig) -> None:
@@ -335,7 +336,7 @@ class World:
             yield Obstacle(state=shown, reason=f"the driver is {self.driver!r}, 'idle' is needed", every_goal=True)
         elif self.readings is None or silent:
             joints_s = self.age_s(self.readings_ns)
-            delay = _joints_delay(joints_s, config)
+            delay = joints_delay(joints_s, config)
             yield Obstacle(
                 state="waiting: no joint_states" + self._left_down_text(),
                 reason=f"no joint_states {since(joints_s)}, at most {config.joints_timeout_s:g} s are allowed",
@@ -366,65 +367,6 @@ class World:
                 f"at most {config.camera_timeout_s:g} s are allowed",
                 every_goal=False,
                 passing=camera_age <= patient_limit_s(config.camera_timeout_s, config),
-                delay=_camera_delay(camera_age, config),
+                delay=camera_delay(camera_age, config),
             )
-        yield from self._panel_obstacles(config)
-
-    def _panel_obstacles(self, config: ControllerConfig) -> Iterator[Obstacle]:
-        pose_age, still = self.age_s(self.panel_stamp_ns), self.panel_is_still(config)
-        known = self.camera_from_panel is not None and self.panel is not None
-        if not self.confidence >= config.min_confidence:
-            yield Obstacle(
-                state="waiting: panel not recognised",
-                reason=f"the panel is recognised with confidence {self.confidence:.2f}, "
-                f"at least {config.min_confidence:g} is needed",
-                every_goal=False,
-                passing=known and not still,
-            )
-        elif not known:
-            missing = "pose" if self.camera_from_panel is None else "controls"
-            yield Obstacle(
-                state="waiting: panel not recognised",
-                reason=f"the panel is not recognised: no {missing} yet",
-                every_goal=False,
-            )
-        elif not still:
-            yield Obstacle(
-                state="waiting: panel pose is old",
-                reason="the panel has not been seen from where the cameras have come to, "
-                f"at most {config.look_timeout_s:g} s are waited for it",
-                every_goal=False,
-                passing=True,
-            )
-        elif pose_age > config.panel_max_age_s:
-            yield Obstacle(
-                state="waiting: panel pose is old",
-                reason=f"no pose of the panel {since(pose_age)}, at most {config.panel_max_age_s:g} s are allowed",
-                every_goal=False,
-                passing=pose_age <= patient_limit_s(config.panel_max_age_s, config),
-                delay=self.panel_delay(config),
-            )
-        elif self.plane_due and not self.unrest():
-            yield Obstacle(
-                state="waiting: the panel's plane is being measured",
-                reason="the panel's plane is being measured, and the driver does not know it yet",
-                every_goal=False,
-                passing=True,
-            )
-
-
-def _joints_delay(age_s: float, config: ControllerConfig) -> Delay | None:
-    return _delay(ResultCode.SLOW, "joint_states", age_s, config.joints_timeout_s)
-
-
-def _camera_delay(age_s: float, config: ControllerConfig) -> Delay | None:
-    return _delay(ResultCode.LATE_IMAGE, "image of the left camera", age_s, config.camera_timeout_s)
-
-
-def _delay(code: ResultCode, what: str, age_s: float, limit_s: float) -> Delay | None:
-    late = limit_s < age_s < math.inf
-    return Delay(code=code, what=what, measured_s=age_s, limit_s=limit_s) if late else None
-
-
-def since(age_s: float) -> str:
-    return f"for {age_s:.1f} s" if math.isfinite(age_s) else "yet"
+        yield from panel_obstacles(self, config)
