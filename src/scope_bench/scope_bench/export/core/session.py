@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from icu_common.core.frames import CAMERA_LEFT, CAMERA_RIGHT
+from icu_common.core.intent import read_frame
 from icu_common.core.results import GoalResult, Outcome
 
 Array = npt.NDArray[np.float64]
@@ -122,7 +123,7 @@ class Session:
         stamp = message.header.stamp
         self.motions.append(
             Motion(
-                goal_id=str(stamp.sec * 10**9 + stamp.nanosec),
+                goal_id=read_frame(message.header.frame_id, stamp.sec * 10**9 + stamp.nanosec)[0],
                 begun_ns=received_ns,
                 times_s=np.array([p.time_from_start.sec + p.time_from_start.nanosec / 1e9 for p in message.points]),
                 positions_m=np.array([[p.positions[i] for i in order] for p in message.points]),
