@@ -1,4 +1,4 @@
-"""What reports say against the counting of lines and answers; no I/O and no clock."""
+"""Reports that contradict the counts of lines and answers; no I/O and no clock."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Contradictions:
 
     def clear(self) -> None:
         """Begin again with another board, or one that was reset."""
-        self._surplus_reports = 0
+        self._surplus_reports = self._short_reports = 0
         self.answered()
 
     def answered(self) -> None:
