@@ -179,9 +179,8 @@ class Controller(GoalPhases):
                 world.camera, world.camera_stamp_ns = event.camera, event.stamp_ns
             case msg.Heartbeat():
                 seen_ns, last_ns = world.wall_ns - event.age_ns, world.heartbeat_ns
-                if (
-                    last_ns is None or not seen_ns < last_ns <= world.wall_ns
-                ):  # an older stamp does not replace a newer one
+                # An older stamp does not replace a newer one.
+                if last_ns is None or not seen_ns < last_ns <= world.wall_ns:
                     world.heartbeat_ns = seen_ns
             case msg.Rivals():
                 begins = world.rivals.take(event.topic, event.text)
@@ -209,11 +208,11 @@ class Controller(GoalPhases):
         if not world.panel_is_still(self.config):
             return
         self._face.take(pose, world.panel_stamp_ns)
-        told = world.age_s(self._plane_ns) < PLANE_AGAIN_S or self._face.stamp_ns <= self._plane_ns
-        if told or world.readings is None or world.unrest():
+        reported = world.age_s(self._plane_ns) < PLANE_AGAIN_S or self._face.stamp_ns <= self._plane_ns
+        if reported or world.readings is None or world.unrest():
             return
         middle, ball_m = panel.extent.mean(axis=0), self.config.touch.ball_radius_m
-        with contextlib.suppress(ValueError):  # it leans so far that nothing is touched
+        with contextlib.suppress(ValueError):  # a panel that leans this far is never touched
             if (plane := self._face.plane(axes, middle, ball_m, self._sigma_m)) is not None:
                 self._plane_ns = self._now_ns
                 self._actions.append(msg.ReportPlane(plane=plane, stamp_ns=self._face.stamp_ns))

@@ -221,6 +221,7 @@ class SerialDriverNode(GraphLifecycleNode):
         except ValueError as error:
             self.get_logger().error(f"panel/plane: ignored: {plain(str(error))}", throttle_duration_sec=5.0)
             return
+        self._sources.look("panel/plane")  # a message may arrive before the event of its publisher
         senders = self._sources.names("panel/plane")
         if distrust := distrust_text(senders, self._live.config.trajectory_programs):
             self.get_logger().error(f"panel/plane: ignored: {distrust}", throttle_duration_sec=5.0)
