@@ -8,7 +8,7 @@ unexport PYTHONDONTWRITEBYTECODE
 VENV := .venv/bin
 INSTALL := ros2_ws/install
 
-.PHONY: help demo test check bench campaign damage noise golden soak story docs setup clean picture
+.PHONY: help demo test check bench campaign damage matrix noise effects golden soak story docs setup clean picture cover mutants
 
 help: ## this list
 	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -34,7 +34,20 @@ check: ## lint, formatting, types and import contracts
 
 bench: ## measure every speed claim against a peer; results in benchmarks/out/
 	@scripts/setup.sh dev
-	@for file in benchmarks/bench_*.py; do echo "== $$file"; $(VENV)/python $$file || exit 1; done
+	@for file in $(filter-out benchmarks/bench_effects.py,$(wildcard benchmarks/bench_*.py)); do echo "== $$file"; $(VENV)/python $$file || exit 1; done
+
+# Without the tests of the mock board and the controller, which the guard does not run.
+COVER_TESTS := tests/unit/gantry_driver --ignore-glob '*/test_mock_*' --ignore-glob '*/test_controller*' --ignore-glob '*/test_se*'
+cover: ## branch coverage of the guard by its tests without ROS: fails below 100 %
+	@scripts/setup.sh dev
+	@mkdir -p artifacts/coverage && $(VENV)/coverage erase
+	@OPENBLAS_NUM_THREADS=1 $(VENV)/coverage run -m pytest -q -p no:xdist $(COVER_TESTS)
+	@$(VENV)/coverage combine -q && $(VENV)/coverage report
+
+MUTANTS_OPTIONS ?=
+mutants: ## small changes of the guard's pure rooms: each must fail a test, or be explained in docs/decisions/guard-mutants.md
+	@scripts/setup.sh dev
+	@OPENBLAS_NUM_THREADS=1 PYTHONPATH=tests:$$PYTHONPATH $(VENV)/python -m mutants.run $(MUTANTS_OPTIONS)
 
 CAMPAIGN_SEEDS ?= 1000
 campaign: ## seeded faults against the mock board; CAMPAIGN_SEEDS=5000, or FIRST:LAST to repeat some
@@ -49,6 +62,14 @@ damage: ## damaged bytes between driver and mock board; DAMAGE_SEEDS=FIRST:LAST 
 	@PYTHONPATH=tests:$$PYTHONPATH $(VENV)/python -m campaign.damage --seeds $(DAMAGE_SEEDS) \
 		--direction $(DAMAGE_DIRECTION) --kinds $(DAMAGE_KINDS) --out artifacts/damage
 
+MATRIX_RUNS ?= 200
+MATRIX_SEED ?= 1
+MATRIX_OPTIONS ?= --real-time
+matrix: ## seeded faults of each program in each phase, on the whole graph in real time; goes on where it was broken off
+	@scripts/setup.sh dev
+	@PYTHONPATH=tests:$$PYTHONPATH $(VENV)/python -m matrix.run --runs $(MATRIX_RUNS) --seed $(MATRIX_SEED) \
+		--out artifacts/matrix $(MATRIX_OPTIONS)
+
 NOISE_MINUTES ?= 10
 noise: ## presses on the whole graph for NOISE_MINUTES=10 while one byte in 500 is damaged on the wire
 	@scripts/setup.sh dev
@@ -58,6 +79,12 @@ SOAK_MINUTES ?= 30
 soak: ## the whole graph at full rate for SOAK_MINUTES=30: memory, files, threads and delay must stay flat
 	@scripts/setup.sh dev
 	@$(VENV)/python benchmarks/soak.py --minutes $(SOAK_MINUTES)
+
+EFFECTS_PRESSES ?= 50
+EFFECTS_ROOM ?= ideal
+effects: ## presses under each effect of the simulated bench and its double; EFFECTS_PRESSES=50, EFFECTS_ROOM=ideal
+	@scripts/setup.sh dev
+	@$(VENV)/python benchmarks/bench_effects.py --presses $(EFFECTS_PRESSES) --room $(EFFECTS_ROOM) --workers 2
 
 golden: ## make the golden bag (simulated bench, fixed seed) and the results that tests compare with it
 	@scripts/setup.sh dev

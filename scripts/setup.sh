@@ -153,12 +153,12 @@ compile() {
   # What is kept is only compiled anew where its own file has changed, not one that it calls functions of.
   find "$root/src" -name '*.nb[ci]' -delete
   local path=$root/src/icu_common:$root/src/harris_perception${PYTHONPATH:+:$PYTHONPATH}
-  PYTHONPATH=$path "$venv/bin/python" -c "from harris_perception.core import dense_stereo, stereo_matching
+  PYTHONPATH=$path "$venv/bin/python" -c "from harris_perception.core.stereo import dense_stereo, stereo_matching
 dense_stereo.warm()
 stereo_matching.warm()" &
   local stereo=$!
-  PYTHONPATH=$path "$venv/bin/python" -c "from harris_perception.core.edges import CombinedDetector, EdgeDetector
-from harris_perception.core.harris import HarrisConfig
+  PYTHONPATH=$path "$venv/bin/python" -c "from harris_perception.core.edges.edges import CombinedDetector, EdgeDetector
+from harris_perception.core.corners.harris import HarrisConfig
 for config in (HarrisConfig(), HarrisConfig(gradient='gaussian', window='gaussian')):
     CombinedDetector(config).warm()
 EdgeDetector().warm()" && wait $stereo \
@@ -191,7 +191,7 @@ if [ $jazzy = no ]; then
 else
   wait_for more_for_jazzy
 fi
-kernels=$(cat src/harris_perception/harris_perception/core/*.py | sha256sum)
+kernels=$(find src/harris_perception/harris_perception/core -name '*.py' | sort | xargs cat | sha256sum)
 if [ ! -f "$venv/.compiled" ] || [ "$(cat "$venv/.compiled")" != "$kernels" ]; then meanwhile compile; fi
 if [ $jazzy = no ]; then wait_for install requirements.txt "rclpy and Fast DDS (with the others about 400 MB, a minute or so)"; fi
 if [ "$want" = dev ]; then meanwhile install requirements-dev.txt "tools for tests and checks, meanwhile" quiet; fi

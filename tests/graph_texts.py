@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 SRC = Path(__file__).resolve().parents[1] / "src"
-FOLDERS = ("core", "wire", "guard", "envelope", "nodes", "adapters")
+FOLDERS = {"core", "nodes", "adapters", "pairing"}
 PACKAGES = ("gantry_driver", "harris_perception", "icu_common", "scope_ui_bridge")
 
 ONLY_ELSEWHERE = {
@@ -24,10 +24,21 @@ ONLY_ELSEWHERE = {
     ),
     "programs that do not start, or the log": (
         *("config", "machine_config", "controller_config", "parameters", "runtime", "camera_model", "frame_link"),
-        *("camera_sources", "camera_node", "corners_node", "stereo_node", "dense_stereo_node", "stylus_node"),
-        *("recognition_node", "conversions", "geometry", "stroke_font", "real_time", "compiled"),
+        *(
+            "camera_sources",
+            "v4l2_source",
+            "camera_controls",
+            "camera_info",
+            "camera_node",
+            "corners_node",
+            "stereo_node",
+            "dense_stereo_node",
+            "stylus_node",
+        ),
+        *("recognition_node", "geometry", "stroke_font", "real_time", "compiled"),
         *("harris", "edges", "edge_kernels", "harris_kernels", "harris_laplace", "edge_tracing", "deriche", "matching"),
         *("stereo_matching", "stylus", "ball_view", "ball_fit", "plane_fit", "planar_pose", "reprojection"),
+        *("pair_rotation", "pair_watch", "layout", "pair", "layout_message", "pair_message", "panel_check"),
         *("structure", "lanes", "edge_alignment", "overlay", "foxglove_sidecar", "passwords", "secret_files", "audit"),
         *(
             "turned_away",
@@ -45,6 +56,10 @@ ONLY_ELSEWHERE = {
             "step_ledger",
             "images",
             "on_demand",
+            "port_record",
+            "line",
+            "heartbeats",
+            "nodes.messages",
         ),
     ),
 }
@@ -68,7 +83,8 @@ def templates() -> dict[str, str]:
     found: dict[str, str] = {}
     for package in PACKAGES:
         for path in sorted((SRC / package / package).rglob("*.py")):
-            if path.parent.name in FOLDERS and path.stem not in left_out:
+            named = {path.stem, ".".join(path.parts[-3:-1])}
+            if FOLDERS & set(path.parts) and not named & left_out:
                 for text in _texts(ast.parse(path.read_text())):
                     found.setdefault(text, str(path.relative_to(SRC)))
     return found

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from icu_common.core.camera_model import CameraModel
+from icu_common.core.geometry.camera_model import CameraModel
 
 
 def pinhole(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import os
 import time
 from collections.abc import Callable, Iterator
@@ -18,6 +19,7 @@ from rclpy.qos import QoSProfile
 
 from icu_common.nodes.graph_node import GraphNode
 from icu_common.nodes.runtime import prepare_transport
+from scope_bench.adapters.graph_names import hold, is_held
 
 T = TypeVar("T", bound=Node)
 Describe = Callable[[], Any]
@@ -25,13 +27,19 @@ LONGEST_TURN_S = 0.5
 """No more of a deadline passes between two looks: the test may have been held up, and what has come waits."""
 
 
+@functools.cache
 def domain_of_worker(base: int = 100, count: int = 100) -> int:
-    """Return one of ``count`` ROS domains that no other worker of this test run uses (up to 232 are valid)."""
+    """Return one of ``count`` ROS domains that no other test run, worker, graph or replay here uses until this ends.
+
+    Up to 232 are valid. By process numbers alone two test runs met on a domain, and each heard the other's graph.
+    """
     name = os.environ.get("PYTEST_XDIST_WORKER")
-    if name is None:
-        return base + os.getpid() % count
-    # The workers of one run have one parent; two of them must not meet on a domain.
-    return base + (os.getppid() * 16 + int(name[2:])) % count
+    first = os.getpid() if name is None else os.getppid() * 16 + int(name[2:])
+    for step in range(count):
+        domain = base + (first + step) % count
+        if not is_held(f"{domain}/") and not is_held(f"replay/{domain}") and hold(f"test/{domain}"):
+            return domain
+    raise RuntimeError(f"tests use all ROS domains from {base} to {base + count - 1}")
 
 
 def keeping_all(profile: QoSProfile | int) -> QoSProfile:

@@ -9,6 +9,7 @@ goal and while an effect is waited for; in between its last answer is repeated (
 
 from __future__ import annotations
 
+import dataclasses
 import heapq
 import itertools
 import math
@@ -19,36 +20,46 @@ import cv2
 import numpy as np
 from parameter_files import CONFIG, parameters
 
-from gantry_driver.core import controller_messages as msg
-from gantry_driver.core.controller import Controller
-from gantry_driver.core.controller_config import ControllerConfig
-from gantry_driver.core.goal_job import LOOKING, UP, Phase
-from gantry_driver.core.machine import Machine
-from gantry_driver.core.machine_config import DriverConfig
-from gantry_driver.core.machine_states import Answered, Position, StateChanged
-from gantry_driver.core.scene import PanelMap
-from gantry_driver.core.trajectory_gcode import Waypoint
+from gantry_driver.core.goals import controller_messages as msg
+from gantry_driver.core.goals.controller import Controller
+from gantry_driver.core.goals.controller_config import ControllerConfig
+from gantry_driver.core.goals.goal_job import LOOKING, UP, Phase
+from gantry_driver.core.grbl.trajectory_gcode import Waypoint
+from gantry_driver.core.machine.machine import Machine
+from gantry_driver.core.machine.machine_config import DriverConfig
+from gantry_driver.core.machine.machine_states import Answered, Position, StateChanged
+from gantry_driver.core.motion.scene import PanelMap
 from gantry_driver.mock.machine import Machine as MockMachine
 from gantry_driver.mock.settings import make_eeprom
-from harris_perception.core.calibration_plan import RunConfig
-from harris_perception.core.calibration_run import CalibrationRun, Failed, Finished, SendGoal
-from harris_perception.core.hand_eye import HandEyeConfig
-from harris_perception.core.harris import HarrisConfig, HarrisDetector
-from harris_perception.core.panel_state import PanelReader, StateConfig
-from harris_perception.core.pose_agreement import PoseAgreement
-from harris_perception.core.recognition import PanelRecogniser, RecognitionConfig
-from harris_perception.core.still_watch import StillConfig
-from harris_perception.core.stylus import StylusConfig, StylusTracker
-from harris_perception.core.tip_record import TipRecord
-from icu_common.core.camera_model import CameraModel, StereoModel
-from icu_common.core.config import from_mapping
-from icu_common.core.frames import BASE, JOINTS
-from icu_common.core.panel_layout import PanelLayout, load_layout
-from icu_common.core.results import GoalResult
+from harris_perception.core.alignment.layout_config import LayoutConfig
+from harris_perception.core.alignment.layout_watch import LayoutWatch
+from harris_perception.core.alignment.pair_config import PairConfig
+from harris_perception.core.alignment.pair_watch import PairWatch
+from harris_perception.core.corners.harris import HarrisConfig, HarrisDetector
+from harris_perception.core.hand_eye.hand_eye import HandEyeConfig
+from harris_perception.core.hand_eye_procedure.calibration_plan import RunConfig
+from harris_perception.core.hand_eye_procedure.calibration_run import CalibrationRun, Failed, Finished, SendGoal
+from harris_perception.core.hand_eye_procedure.still_watch import StillConfig
+from harris_perception.core.pose.pose_agreement import PoseAgreement
+from harris_perception.core.recognition.panel_state import PanelReader, StateConfig
+from harris_perception.core.recognition.recognition import PanelRecogniser, RecognitionConfig
+from harris_perception.core.stylus.stylus import StylusConfig, StylusTracker
+from harris_perception.core.stylus.tip_record import TipRecord
+from harris_perception.pairing.free_pairs import FreePairs, Pair
+from harris_perception.pairing.free_tips import FreeTips
+from icu_common.core.alignment.pair import PairCode
+from icu_common.core.configuration.config import from_mapping, to_mapping
+from icu_common.core.configuration.parameter_file import values_for
+from icu_common.core.geometry.camera_model import CameraModel, StereoModel
+from icu_common.core.geometry.frames import BASE, JOINTS
+from icu_common.core.goals.results import GoalResult
+from icu_common.core.panel.panel_layout import PanelLayout, load_layout
 from scope_bench.core.bench import Bench
 from scope_bench.core.configuration import BenchConfig
 from scope_bench.core.optics import stereo_rig
 from scope_bench.core.renderer import Renderer
+from scope_bench.imaging.stream import CameraStream
+from scope_bench.imaging.timing import Shot, shots
 
 START_S = 1000.0
 FRAME_S = 1 / 15
@@ -70,22 +81,44 @@ Event = Callable[[], None]
 class VirtualRobot:
     """One robot; ``now`` is the only clock, in seconds. It homes, calibrates and recognises by :meth:`prepare`."""
 
-    def __init__(self, seed: int, *, layout: str = "dso_bench_4", bench: dict[str, Any] | None = None) -> None:
+    def __init__(
+        self,
+        seed: int,
+        *,
+        layout: str = "dso_bench_4",
+        bench: dict[str, Any] | None = None,
+        true_layout: PanelLayout | None = None,
+        driver: dict[str, Any] | None = None,
+        room: str = "ideal",
+    ) -> None:
         self.layout: PanelLayout = load_layout(CONFIG / "scopes" / f"{layout}.yaml")
-        config = from_mapping(BenchConfig, {**parameters("bench"), "seed": seed, **(bench or {})})
-        self.bench = Bench(self.layout, config)
-        self.renderer = Renderer(self.layout, config, self.bench.panel_from)
-        rig = stereo_rig(config.camera)
+        in_room = values_for("bench", CONFIG / "rooms" / f"{room}.yaml")
+        self.config = from_mapping(BenchConfig, {**parameters("bench"), **in_room, "seed": seed, **(bench or {})})
+        self._made = self.layout if true_layout is None else true_layout
+        self.bench = Bench(self._made, self.config)
+        self.renderer = Renderer(self._made, self.config, self.bench.panel_from)
+        self._stream = CameraStream()
+        self._pairs = FreePairs(tolerance_ns=round(parameters("stylus_tracker")["pair_tolerance_s"] * 1e9))
+        # What the calibration files say; the bench's true cameras may differ.
+        rig = stereo_rig(self.config.camera)
         self.cameras = [CameraModel.from_mapping(rig.calibration(side)) for side in ("left", "right")]
         self.stereo = StereoModel(left=self.cameras[0], right=self.cameras[1])
         self.tracker = StylusTracker(from_mapping(StylusConfig, parameters("stylus_tracker")), self.stereo)
+        self._free_tips = FreeTips(self.tracker)
         self._recognition = from_mapping(RecognitionConfig, parameters("recognition", "recognition"))
         self.recogniser = PanelRecogniser(self.layout, self._recognition)
+        self.pair = PairWatch(
+            from_mapping(PairConfig, parameters("stylus_tracker", "pair")), self.recogniser.meter, self.stereo
+        )
         self.reader = PanelReader(self.layout, from_mapping(StateConfig, parameters("recognition", "state")))
+        self.controls = LayoutWatch(
+            from_mapping(LayoutConfig, parameters("stylus_tracker", "controls")), self.layout, self.stereo
+        )
         self.heart = self.camera_on = True
         self._detector = HarrisDetector(HarrisConfig())
         self.controller = Controller(from_mapping(ControllerConfig, parameters("gantry_controller")))
-        self.driver = Machine(from_mapping(DriverConfig, {**parameters("serial_driver"), "enabled_at_start": True}))
+        drive = {**parameters("serial_driver"), "enabled_at_start": True, **(driver or {})}
+        self.driver = Machine(from_mapping(DriverConfig, drive))
         self.board = MockMachine(make_eeprom({}), seed=seed)
         self.now = 0.0
         self.phases: dict[str, float] = {}
@@ -100,6 +133,7 @@ class VirtualRobot:
         self._pose: Any = None
         self._tips = TipRecord()
         self._panel_stamp = 0
+        self._pair_ns = 0
         self._rested_ns = 0
         self.watch_panel = False
         self._confidence = 0.0
@@ -112,6 +146,18 @@ class VirtualRobot:
         self._every(TICK_S, lambda: self._tell(msg.Tick()))
         self._every(FRAME_S, self._expose)
         self._every(PANEL_S, self._every_panel)
+
+    def turn_right_camera(self, degrees: tuple[float, float, float]) -> None:
+        """Turn the right camera of the bench about its x, y, z by degrees; the robot's calibration stays."""
+        camera = self.config.camera
+        skew = tuple(a + b for a, b in zip(camera.skew_deg, degrees))
+        self.config = dataclasses.replace(self.config, camera=dataclasses.replace(camera, skew_deg=skew))
+        self.renderer = Renderer(self._made, self.config, self.bench.panel_from)
+
+    def accept_pair(self) -> None:
+        """Tell the comparison of the cameras that a new hand-eye calibration was made."""
+        self.pair.accept()
+        self._tell(msg.PairSeen(pair=self.pair.state))
 
     # What a user does
 
@@ -161,24 +207,43 @@ class VirtualRobot:
         self._agreement = PoseAgreement(self._recognition.agreement, self.layout.size_mm)
         for _ in range(times):
             self.run_for(PANEL_S)
-            self._recognise(self.now_ns, self.now)
+            self._recognise(shots(self.config, self.now))
 
-    def _recognise(self, stamp: int, exposed: float) -> None:
-        left, right = self._pictures(exposed)
+    def _recognise(self, due: Sequence[Shot]) -> None:
+        pictures = self._pictures(due)
+        if 0 not in pictures:  # the left camera lost its image
+            return
+        left, stamp = pictures[0], self._stamp_ns(due[0])
+        paired = len(due) == 2 and abs(self._stamp_ns(due[1]) - stamp) <= self._pairs.tolerance_ns
         gray = cv2.cvtColor(left, cv2.COLOR_BGR2GRAY)
         found = self.recogniser.locate(gray, self._detector.detect(gray).xy, self.cameras[0])
         pose = self._agreement.add(None if found is None else found.camera_from_panel)
         self._pose = pose if pose is not None else self._pose
         self._confidence = found.agreement if found is not None and pose is not None else 0.0
         if found is not None and pose is not None:
-            self._tips.add(stamp, self.tracker.find(left, right).tip)
+            if paired:
+                self._tips.add(stamp, self.tracker.find(left, pictures[1]).tip)
             settings = parameters("recognition")
             tip, age_ns = self._tips.at(stamp, 1e9 * settings["tip_max_age_s"])
             wander_m, camera = 1e-9 * age_ns * settings["tip_speed_m_s"], self.cameras[0]
             seen = self.reader.read(left, pose, camera, stamp, patches=found.patches, tip=tip, wander_m=wander_m)
             self._tell(msg.PanelState(seen=seen))
+            if 1 in pictures:  # the panel rests, so the images need no common instant
+                self._watch_pair(gray, pictures[1], pose, stamp)
         self._panel_stamp = stamp
         self._say_panel_now()
+
+    def _watch_pair(self, gray: Any, right: Any, pose: Any, stamp: int) -> None:
+        period_ns = 1e9 * self.pair.config.period_s
+        if stamp - self._pair_ns < period_ns - 1 and self.pair.state.code is not PairCode.CHANGING:
+            return
+        if self.pair.look(gray, cv2.cvtColor(right, cv2.COLOR_BGR2GRAY), pose, stamp):
+            self._pair_ns = stamp
+            self.tracker.recalibrate(self.pair.cameras)
+            self._tell(msg.PairSeen(pair=self.pair.state))
+            if self.pair.views is not None and self.pair.state.known:
+                self.controls.look(self.pair.views, self.pair.camera_from_panel, self.pair.state.rotation_rad)
+                self._tell(msg.LayoutSeen(deviations=self.controls.deviations()))
 
     def until(self, condition: Callable[[], Any], within_s: float) -> None:
         """Let time pass until the condition holds."""
@@ -193,6 +258,17 @@ class VirtualRobot:
         end = self.now + seconds
         while self.now < end:
             self._step(end)
+
+    def set(self, values: dict[str, Any]) -> None:
+        """Change settings of the bench by their dotted names, as a test's socket does."""
+        old, self.config = self.config, from_mapping(BenchConfig, {**to_mapping(self.config), **values})
+        self.bench.reconfigure(self.config)
+        if self.config.imaging != old.imaging:
+            self.renderer.reimage(self.config)
+        if self.config.light != old.light:
+            self.renderer.relight(self.config.light)
+        if self.config.panel != old.panel:
+            self.renderer.move_panel(self.bench.panel_from)
 
     def take_records(self) -> list[dict[str, Any]]:
         """Return the physical truth since the last call."""
@@ -244,6 +320,7 @@ class VirtualRobot:
         self._sampled_s = self.now
         truth = self.board.truth()
         self.bench.feed(truth["mpos"], truth["spindle"], truth["coolant"], self.now)
+        self.board.board.set_probe(self.bench.switch_closed)
 
     def _collect(self) -> None:
         for event in self.driver.take_events():
@@ -255,7 +332,7 @@ class VirtualRobot:
                 self._later(msg.MotionResult(result=event.result))
             elif isinstance(event, Position):
                 reading = np.array(event.reading_m)
-                self._later(msg.Joints(readings=reading))
+                self._later(msg.Joints(readings=reading, probe=event.probe))
                 if self._procedure is not None:
                     self._procedure.reading(self.now_ns, reading)
 
@@ -306,6 +383,7 @@ class VirtualRobot:
                 self._later(msg.PointGoal(frame=BASE, xyz=xyz, stamp_ns=stamp))
             elif isinstance(action, Finished):
                 self._procedure = None
+                self.pair.accept()
                 corners = np.array([(x, y, 0.0) for x in (0.03, 0.33) for y in (0.03, 0.18)])
                 self._later(msg.CalibrationSigma(value_m=action.calibration.sigma_m(corners)))
                 self._later(msg.CameraFromBase(transform=action.calibration.camera_from_base))
@@ -319,32 +397,44 @@ class VirtualRobot:
         self.driver.heartbeat(self.now)
         self._tell(msg.Heartbeat())
 
-    def _pictures(self, time_s: float) -> list[Any]:
+    def _stamp_ns(self, shot: Shot) -> int:
+        return round((START_S + shot.stamp_s) * 1e9)
+
+    def _pictures(self, due: Sequence[Shot]) -> dict[int, Any]:
+        """Return the images of shots by their cameras."""
         self.pictures += 1
         self.bench.advance(self.now)
-        return self.renderer.render(self.bench.moment(time_s))
+        self.renderer.follow_panel(self.bench.panel_from)
+        images = self._stream.render(due, self.config, self.bench, self.renderer)
+        return {image.camera: image.picture for image in images}
 
     def _expose(self) -> None:
         if not self.camera_on:
             return
-        stamp, exposed = self.now_ns, self.now
         if self.driver.state == "idle":
-            self._rested_ns = stamp
-        self._after(INFO_S, lambda: self._announce(stamp))
-        self._after(PICTURE_S, lambda: self._see(stamp, exposed))
+            self._rested_ns = self.now_ns
+        for shot in shots(self.config, self.now):
+            stamp = self._stamp_ns(shot)
+            if shot.camera == 0:
+                self._after(INFO_S, lambda stamp=stamp: self._announce(stamp))
+                seen = msg.CameraSeen(camera=self.cameras[0], stamp_ns=stamp)
+                self._after(PICTURE_S, lambda seen=seen: self._tell(seen))
+            pair = self._pairs.add(shot.camera, stamp, shot)
+            if pair is not None:
+                self._after(PICTURE_S, lambda pair=pair: self._see(pair))
 
     def _announce(self, stamp: int) -> None:
         if self._procedure is not None:
             self._act(self._procedure.image(stamp, self.now_ns))
 
-    def _see(self, stamp: int, exposed: float) -> None:
-        self._tell(msg.CameraSeen(camera=self.cameras[0], stamp_ns=stamp))
+    def _see(self, pair: Pair) -> None:
+        stamp = pair.left_ns
         if self.controller.phase not in LOOKING and self._procedure is None:
             return
         if self._procedure is not None and stamp > self._rested_ns:
             return
-        left, right = self._pictures(exposed)
-        found = self.tracker.find(left, right)
+        pictures = self._pictures((pair.left, pair.right))
+        found = self._free_tips.find(pair, pictures[0], pictures[1])
         self._tips.add(stamp, found.tip)
         if found.tip is not None:
             self._tell(msg.TipSeen(in_camera=found.tip, stamp_ns=stamp))
@@ -359,12 +449,14 @@ class VirtualRobot:
         if self._pose is None or not self.camera_on:
             return
         wanted = self.watch_panel or self.controller.phase in (*UP, Phase.READ, Phase.WAIT)
-        stamp, exposed = self.now_ns, self.now
+        due = shots(self.config, self.now)
         if wanted:
-            self._after(PANEL_LATE_S, lambda: self._recognise(stamp, exposed))
+            self._after(PANEL_LATE_S, lambda: self._recognise(due))
         else:
-            self._panel_stamp = stamp
+            self._panel_stamp = self.now_ns
             self._say_panel_now()
+            if self.pair.state.code is not PairCode.UNKNOWN:
+                self._tell(msg.PairSeen(pair=dataclasses.replace(self.pair.state, stamp_ns=self.now_ns)))
 
     def _say_panel_now(self) -> None:
         outline = np.array([(0, 0), self.layout.size_mm]) / 1000

@@ -5,7 +5,7 @@ from glob import glob
 from setuptools import find_packages, setup
 
 NAME = "scope_bench"
-FOLDERS = ("launch", "config", "config/params", "config/cameras", "config/scopes", "config/sequences")
+FOLDERS = ("launch", "config", "config/params", "config/cameras", "config/rooms", "config/scopes", "config/sequences")
 
 setup(
     name=NAME,

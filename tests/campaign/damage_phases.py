@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from campaign.damage_rig import DamageRig, Point
 
-from gantry_driver.core import motion_plan
-from gantry_driver.core.motion_plan import MotionConfig, Path
+from gantry_driver.core.motion import motion_plan
+from gantry_driver.core.motion.motion_plan import MotionConfig, Path
 
 MOTION = MotionConfig()
 HOVER_MM, OVERTRAVEL_MM, BETWEEN_MM = 8.0, 1.0, 4.0

@@ -11,13 +11,13 @@ from typing import Any
 from campaign.truth import TracedMachine, Vertex
 from campaign.virtual_link import VirtualRig
 
-from gantry_driver.core.connection import TICK_S
-from gantry_driver.core.machine_config import DriverConfig
-from gantry_driver.core.machine_states import Note, Position, StateChanged
-from gantry_driver.core.trajectory_gcode import Waypoint
+from gantry_driver.core.grbl.connection import TICK_S
+from gantry_driver.core.grbl.trajectory_gcode import Waypoint
+from gantry_driver.core.machine.machine_config import DriverConfig
+from gantry_driver.core.machine.machine_states import Note, Position, StateChanged
 from gantry_driver.mock.serial_line import Damage
-from icu_common.core.frames import JOINTS
-from icu_common.core.results import Outcome
+from icu_common.core.geometry.frames import JOINTS
+from icu_common.core.goals.results import Outcome
 
 Point = tuple[float, float, float]
 

@@ -19,11 +19,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
-from gantry_driver.core.machine import Machine
-from gantry_driver.core.machine_config import DriverConfig, StylusConfig
-from icu_common.core.results import GoalResult
+from gantry_driver.core.machine.machine import Machine
+from gantry_driver.core.machine.machine_config import DriverConfig, StylusConfig
+from icu_common.core.goals.results import GoalResult
 
 HOMED = (-359.0, -219.0, -1.0)
+CLEARANCE_MM = 10.5
+"""Height above the deepest point at which the driver waits for a report."""
 Point = tuple[float, float, float]
 
 
@@ -199,7 +201,7 @@ def judge(rig: Rig, fault: Fault, way: list[Point], sent: list[str], since: int,
         for entry in rig.lines(since)
         if entry["answer"] == "ok" or (entry["answer"] != "error:9" and entry["n"] < first_banner)
     ]
-    if any("G92" in text or "Z-12G53" in text for text in heard):
+    if any("G92" in text or "Z-10.5G53" in text for text in heard):
         judge_places(heard, way, reached=reached)
         return
     taken = [text for text in heard if text[:1] != "$" and ("X" in text or "Y" in text)]
@@ -224,7 +226,8 @@ def judge_places(heard: Sequence[str], way: list[Point], *, reached: bool) -> No
             if max(abs(a - b) for a, b in zip(here, next_place)) < 0.002:
                 wanted.pop(0)
             else:
-                assert abs(here[2] - next_place[2] - 9.0) < 0.002, f"{text} is neither a point nor a stop above one"
+                above = here[2] - next_place[2]
+                assert abs(above - CLEARANCE_MM) < 0.002, f"{text} is neither a point nor a stop above one"
     assert not reached or not wanted, f"never sent: {wanted}"
 
 

@@ -9,9 +9,9 @@ from typing import Any
 
 from nodes.grbl_board import GrblBoard, LinkRig
 
-from gantry_driver.core.machine import Machine
-from gantry_driver.core.machine_config import DriverConfig
-from icu_common.core.results import GoalResult
+from gantry_driver.core.machine.machine import Machine
+from gantry_driver.core.machine.machine_config import DriverConfig
+from icu_common.core.goals.results import GoalResult
 
 SCALE = 3.0
 """Board seconds per second; the driver's own times stay as they are."""

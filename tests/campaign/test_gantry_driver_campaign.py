@@ -11,10 +11,10 @@ from campaign.port_rig import PortRig
 from campaign.run import main
 from campaign.virtual_link import VirtualRig
 
-from gantry_driver.core.grbl_messages import Report
-from gantry_driver.core.machine import Machine
-from gantry_driver.core.machine_config import DriverConfig, MachineConfig
-from icu_common.core.results import Outcome
+from gantry_driver.core.grbl.grbl_messages import Report
+from gantry_driver.core.machine.machine import Machine
+from gantry_driver.core.machine.machine_config import DriverConfig, MachineConfig
+from icu_common.core.goals.results import Outcome
 
 SHORT = 6 * len(FAULTS)
 LINK_FAULTS = ("unplug", "full", "vanishes", "operator stop")

@@ -6,8 +6,8 @@ import random
 
 import pytest
 from campaign.damage import Case, main, run_case, text_of
-from campaign.damage_judge import WRONG
-from campaign.damage_rig import DIRECTIONS, TO_BOARD
+from campaign.damage_judge import REPORTED, WRONG
+from campaign.damage_rig import DIRECTIONS, FROM_BOARD, TO_BOARD
 from campaign.other_damage import LATE_S, REALTIME, OtherDamage
 
 PIECES = [b"?", b"X1\n", b"?Y2\n", b"Z3\n", b"?", b"?", b"X4\n"]
@@ -83,11 +83,18 @@ def test_other_damage_never_ends_wrong(direction: str) -> None:
     assert not wrong, "\n".join(text_of(item) for item in wrong)
 
 
-@pytest.mark.parametrize("seed", [264, 506])
+@pytest.mark.parametrize("seed", [3898])
 def test_a_feed_that_rises_with_each_order_to_set_it_back_is_stopped(seed: int) -> None:
     found = run_case(Case(TO_BOARD, seed, OtherDamage))
     assert found.verdict != WRONG, text_of(found)
     assert any("feed override rises" in text for text in found.told)
+
+
+@pytest.mark.parametrize("seed", [353, 595, 958])
+def test_the_position_of_an_old_report_is_not_published_at_rest(seed: int) -> None:
+    found = run_case(Case(FROM_BOARD, seed, OtherDamage))
+    assert found.verdict == REPORTED, text_of(found)
+    assert found.told == ["stopped: the board is in Run without a command from here"]
 
 
 def test_the_command_repeats_a_run_of_these_kinds(capsys: pytest.CaptureFixture[str]) -> None:

@@ -13,15 +13,15 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from gantry_driver.core.envelope.config import EnvelopeConfig
-from gantry_driver.core.machine import Machine
-from gantry_driver.core.machine_config import DriverConfig
-from gantry_driver.core.machine_states import Answered, CloseRequested, Note, StateChanged
-from gantry_driver.core.trajectory_gcode import Waypoint
+from gantry_driver.core.grbl.trajectory_gcode import Waypoint
+from gantry_driver.core.machine.machine import Machine
+from gantry_driver.core.machine.machine_config import DriverConfig
+from gantry_driver.core.machine.machine_states import Answered, CloseRequested, Note, StateChanged
 from gantry_driver.mock.firmware.options import BoardOptions
 from gantry_driver.mock.machine import Machine as MockMachine
 from gantry_driver.mock.settings import make_eeprom
-from icu_common.core.frames import JOINTS
-from icu_common.core.results import GoalResult
+from icu_common.core.geometry.frames import JOINTS
+from icu_common.core.goals.results import GoalResult
 
 RETRY_S = 0.1
 KERNEL_BYTES = 4096

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import shutil
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -24,32 +25,32 @@ from std_msgs.msg import Header, String
 from trajectory_msgs.msg import JointTrajectory
 from virtual_robot import VirtualRobot
 
-from gantry_driver.core import controller_messages as msg
-from gantry_driver.core.controller_config import ControllerConfig
-from gantry_driver.core.goal_job import LOOKING
-from harris_perception.core.hand_eye import HandEyeConfig, Sample, calibrate
-from harris_perception.core.still_watch import StillConfig, StillWatch
-from harris_perception.core.stylus import StylusConfig, StylusTracker
-from icu_common.core.config import from_mapping
-from icu_common.core.frames import BASE, CAMERA_LEFT, CAMERA_RIGHT, JOINTS
-from icu_common.core.results import Outcome
+from gantry_driver.core.goals import controller_messages as msg
+from gantry_driver.core.goals.controller_config import ControllerConfig
+from gantry_driver.core.goals.goal_job import LOOKING
+from harris_perception.core.hand_eye.hand_eye import HandEyeConfig, Sample, calibrate
+from harris_perception.core.hand_eye_procedure.still_watch import StillConfig, StillWatch
+from harris_perception.core.stylus.stylus import StylusConfig, StylusTracker
+from harris_perception.pairing.free_pairs import Pair
+from icu_common.core.configuration.config import from_mapping
+from icu_common.core.geometry.frames import BASE, CAMERA_LEFT, CAMERA_RIGHT, JOINTS
+from icu_common.core.goals.results import Outcome
 from icu_common.nodes import qos
-from icu_common.nodes.conversions import (
-    camera_info_message,
-    header,
-    joint_message,
-    point_message,
-    result_message,
-    trajectory_message,
-)
-from scope_bench.adapters.bags import BagReader, BagTopic, BagWriter
+from icu_common.nodes.messages.cameras import camera_info_message
+from icu_common.nodes.messages.heads import header
+from icu_common.nodes.messages.joints import joint_message, trajectory_message
+from icu_common.nodes.messages.places import point_message
+from icu_common.nodes.messages.results import result_message
+from scope_bench.adapters.bag.bags import BagReader, BagTopic, BagWriter
+from scope_bench.imaging.timing import Shot
 from scope_bench.nodes.bag_qos import recorded_qos
 
 SEED = 7
 TIPS = 3
 """Sightings for each sample of the calibration; the replay is told the same."""
-TRACKER = {"max_fit_error": 0.15, "row_tolerance_px": 1.0}
-"""JPEG's blocks blur the ball; the replay is told the same."""
+TRACKER = {"max_fit_error": 0.15, "row_tolerance_px": 1.0, "pair.period_s": 0.0}
+"""JPEG's blocks blur the ball. Images for recognition have no partner, so the cameras are not compared. The replay uses
+the same settings."""
 CONTROLLER = {"tolerance_m": 0.0003}
 """So that no error lies near the bound of a correction, which another computer could then decide otherwise."""
 CORNERS_M = ((0.06, 0.05), (0.06, 0.17), (0.30, 0.17), (0.30, 0.05))
@@ -152,6 +153,8 @@ class RecordedRobot(VirtualRobot):
         self._write("/bag/cue", String(data="/calibration/solve"))
         solver = from_mapping(HandEyeConfig, parameters("hand_eye", "solver"))
         solved = calibrate(samples, self.stereo, solver)
+        aims = np.array([(x, y, 0.0) for x, y in CORNERS_M])
+        self._tell(msg.CalibrationSigma(value_m=solved.sigma_m(aims)))
         self._tell(msg.CameraFromBase(transform=solved.camera_from_base))
         self._tell(msg.Axes(base_from_reading=solved.base_from_reading))
 
@@ -184,37 +187,36 @@ class RecordedRobot(VirtualRobot):
                 return  # between two that are recorded nothing is known
         super()._tell(event)
 
-    def _pictures(self, time_s: float) -> list[Any]:
+    def _pictures(self, due: Sequence[Shot]) -> dict[int, Any]:
         self._drawn_s = self.now
-        seen = []
-        for picture, (side, frame) in zip(super()._pictures(time_s), SIDES[: None if self._both else 1]):
-            done, packed = cv2.imencode(".jpg", picture, jpeg_options())
+        drawn, seen = super()._pictures(due), {}
+        for camera, (side, frame) in enumerate(SIDES[: None if self._both else 1]):
+            done, packed = cv2.imencode(".jpg", drawn[camera], jpeg_options())
             assert done
             text = "bgr8; jpeg compressed bgr8"
             message = CompressedImage(header=header(self._stamp, frame), format=text, data=packed.tobytes())
             self._write(f"/stereo/{side}/image_raw/compressed", message)
-            seen.append(cv2.imdecode(packed, cv2.IMREAD_COLOR))
+            seen[camera] = cv2.imdecode(packed, cv2.IMREAD_COLOR)
         if self._both:
-            self._find_tip(seen)
-        return seen if self._both else seen * 2
+            self._find_tip(seen[0], seen[1])
+        return seen
 
-    def _find_tip(self, pair: list[Any]) -> None:
-        tip = self.tracker.find(*pair).tip
+    def _find_tip(self, left: Any, right: Any) -> None:
+        tip = self.tracker.find(left, right).tip
         if tip is not None:
             self._still.tip(self._stamp, tip)
             self._tell(msg.TipSeen(in_camera=tip, stamp_ns=self._stamp))
         else:
             self._tell(msg.TipUnseen(stamp_ns=self._stamp))
 
-    def _recognise(self, stamp: int, exposed: float) -> None:
-        self._stamp, self._both = stamp, False
-        super()._recognise(stamp, exposed)
+    def _recognise(self, due: Sequence[Shot]) -> None:
+        self._stamp, self._both = self._stamp_ns(due[0]), False
+        super()._recognise(due[:1])
 
-    def _see(self, stamp: int, exposed: float) -> None:
-        self._tell(msg.CameraSeen(camera=self.cameras[0], stamp_ns=stamp))
+    def _see(self, pair: Pair) -> None:
         if self.sampling or self.controller.phase in LOOKING:
-            self._stamp, self._both = stamp, True
-            self._pictures(exposed)
+            self._stamp, self._both = pair.left_ns, True
+            self._pictures((pair.left, pair.right))
 
     def _every_panel(self) -> None:
         self.watch_panel = self.now - self._drawn_s > UNSEEN_S and bool(self.controller.goal)

@@ -15,23 +15,17 @@ from trajectory_msgs.msg import JointTrajectory
 from visualization_msgs.msg import MarkerArray
 
 from gantry_driver.nodes.controller_node import ControllerNode
-from icu_common.core.frames import BASE, CAMERA_LEFT, JOINTS, PANEL
-from icu_common.core.geometry import Array, Transform
-from icu_common.core.panel_layout import Control, PanelLayout
-from icu_common.core.results import GoalResult, Outcome
+from icu_common.core.geometry.frames import BASE, CAMERA_LEFT, JOINTS, PANEL
+from icu_common.core.geometry.geometry import Array, Transform
+from icu_common.core.goals.results import GoalResult, Outcome
+from icu_common.core.panel.panel_layout import Control, PanelLayout
 from icu_common.nodes import qos
-from icu_common.nodes.conversions import (
-    camera_info_message,
-    controls_message,
-    header,
-    joint_message,
-    point_message,
-    pose_message,
-    result_message,
-    result_of_message,
-    stamp_ns,
-    transform_message,
-)
+from icu_common.nodes.messages.cameras import camera_info_message
+from icu_common.nodes.messages.heads import header, stamp_ns
+from icu_common.nodes.messages.joints import joint_message
+from icu_common.nodes.messages.panels import controls_message
+from icu_common.nodes.messages.places import point_message, pose_message, transform_message
+from icu_common.nodes.messages.results import result_message, result_of_message
 
 REMAPS = [
     "--ros-args",
@@ -72,7 +66,11 @@ LAYOUT = PanelLayout(
     artwork=(),
 )
 RUN_STOP = BASE_FROM_PANEL.apply([0.208, 0.127, 0.003])
-
+BALL_M, KEY_END_M = 0.002, 0.0015
+KEY_TRAVEL_M = 0.0023
+"""Of a first press, which ends with the spring compressed by 0.8 mm: nothing deeper is needed."""
+PRESSED = np.array([*RUN_STOP[:2], -(RUN_STOP[2] + BALL_M) + KEY_TRAVEL_M])
+"""Readings of that press."""
 
 # Everything here shares one thread and, in a full test run, a busy machine: no deadline may be near.
 PATIENCE = {
@@ -152,6 +150,10 @@ class GantryBench:
         self.pose.publish(pose_message(CAMERA_FROM_PANEL, seen))
         self.confidence.publish(Float32(data=0.9))
         tip = self.readings * [1, 1, -1] + self.tip_error
+        x, y, _ = BASE_FROM_PANEL.inverse().apply(tip)
+        over_key = abs(x - 0.208) < 0.008 and abs(y - 0.127) < 0.0045
+        # The ball is stopped by the face, or by the key at the end of its stroke.
+        tip[2] = max(tip[2], BASE_FROM_PANEL.translation[2] + BALL_M + (KEY_END_M if over_key else 0.0))
         self.tip.publish(point_message(CAMERA_FROM_BASE.apply(tip), seen))
 
     def _beat(self) -> None:

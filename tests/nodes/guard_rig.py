@@ -10,6 +10,7 @@ import time
 from pathlib import Path
 from typing import Any
 
+import yaml
 from nodes.grbl_board import GrblBoard
 from nodes.test_gantry_driver_node import HOMED, NO_PANEL, PATIENCE, Operator
 
@@ -19,16 +20,37 @@ DOWN_M = 0.02
 UP_MM = 0.05
 
 
+INSTALL = Path(__file__).resolve().parents[2] / "ros2_ws" / "install"
+
+
 def guards_of(port: Path) -> list[int]:
-    """Return the process numbers of a port's guards."""
-    wanted, found = str(guard_path(str(port))), []
+    """Return the process numbers of a port's guards; one that only waits for another one's end is none."""
+    wanted, found = {str(guard_path(str(port))), str(port)}, []
     for process in Path("/proc").glob("[0-9]*"):
         try:
             words = (process / "cmdline").read_bytes().decode().split("\0")
+            waits = "--recover" in words and not _has_open(process, port)
         except OSError:
             continue
-        if wanted in words:
+        if "gantry_guard" in "".join(words[:3]) and wanted & {*words} and not waits:
             found.append(int(process.name))
+    return found
+
+
+def _has_open(process: Path, port: Path) -> bool:
+    return any(os.readlink(fd) == str(port.resolve()) for fd in (process / "fd").iterdir())  # noqa: PTH115
+
+
+def children(parent: int, word: str) -> list[int]:
+    """Return the child processes whose command line contains a word."""
+    found = []
+    for child in Path(f"/proc/{parent}/task/{parent}/children").read_text().split():
+        try:
+            line = Path(f"/proc/{child}/cmdline").read_bytes().decode()
+        except OSError:
+            continue
+        if word in line:
+            found.append(int(child))
     return found
 
 
@@ -80,12 +102,12 @@ class GuardRig:
     def entry(self) -> int:
         return int(self.board.log()[-1]["n"])
 
-    def until_lifted(self, within_s: float = 15.0) -> float:
+    def until_lifted(self, within_s: float = 15.0, up_mm: float = UP_MM) -> float:
         """Return the board's time at which the stylus was found up; serve the graph meanwhile."""
         end = time.monotonic() + within_s
         while True:
             state = self.board.ask("state")
-            if self.z_mm() > HOMED[2] - UP_MM:
+            if self.z_mm() > HOMED[2] - up_mm:
                 return float(state["t"])
             assert time.monotonic() < end, f"z = {self.z_mm():.2f} mm, {self.op.states[-4:]}"
             self.ros.executor.spin_once(timeout_sec=0.005)
@@ -114,4 +136,34 @@ class GuardRig:
         self.board.close()
 
 
-__all__ = ["DOWN_M", "HOMED", "GuardRig", "guards_of"]
+class BringUpRig(GuardRig):
+    """The same, with the node under bring-up, as users start it."""
+
+    def start(self) -> subprocess.Popen[bytes]:
+        """Start bring-up with the driver as its only program."""
+        config = self.folder / "config"
+        (config / "scopes").mkdir(parents=True)
+        (config / "scopes" / "none.yaml").write_text("{}\n")
+        driver = {"package": "gantry_driver", "executable": "serial_driver"}
+        values = {name: str(value) if isinstance(value, Path) else value for name, value in self.parameters.items()}
+        graph = {
+            "scope": "none",
+            "profiles": {"driver": {"about": "the driver alone"}},
+            "programs": {"serial_driver": {**driver, "set": values}},
+        }
+        (config / "graph.yaml").write_text(yaml.safe_dump(graph))
+        command = [str(INSTALL / "scope_bench/lib/scope_bench/bring_up"), "--profile", "driver", "--verbose"]
+        command += ["--config", str(config), "--state", str(self.folder / "state"), "--run-dir", str(self.folder)]
+        environment = {**os.environ, "ROS_DOMAIN_ID": str(self.ros.context.get_domain_id())}
+        with (self.folder / "bring_up.log").open("wb") as log:
+            self.node = subprocess.Popen(command, env=environment, stdout=log, stderr=log)
+        self.nodes.append(self.node)
+        return self.node
+
+    def kill_node(self) -> None:
+        """Kill the node that bring-up has started."""
+        (node,) = children(self.node.pid, "serial_driver")
+        os.kill(node, signal.SIGKILL)
+
+
+__all__ = ["DOWN_M", "HOMED", "BringUpRig", "GuardRig", "children", "guards_of"]

@@ -19,7 +19,9 @@ from std_msgs.msg import Header, String
 from std_srvs.srv import SetBool, Trigger
 
 from icu_common.nodes import qos
-from icu_common.nodes.conversions import header, point_message, result_of_message
+from icu_common.nodes.messages.heads import header
+from icu_common.nodes.messages.places import point_message
+from icu_common.nodes.messages.results import result_of_message
 from icu_common.nodes.runtime import ros_session
 
 

@@ -33,12 +33,13 @@ from sensor_msgs.msg import CompressedImage, Image, PointCloud2
 from std_msgs.msg import Header, String
 from std_srvs.srv import Trigger
 
-from icu_common.adapters.step_ledger import LEDGER_VARIABLE, StepLedger
+from icu_common.adapters.steps.step_ledger import LEDGER_VARIABLE, StepLedger
 from icu_common.nodes import qos
-from icu_common.nodes.conversions import header, image_array, image_message
-from scope_bench.adapters.bag_pictures import PictureCodec
-from scope_bench.adapters.bag_sink import BagSink
-from scope_bench.adapters.bags import BagError, BagReader, BagTopic, BagWriter
+from icu_common.nodes.messages.cameras import image_array, image_message
+from icu_common.nodes.messages.heads import header
+from scope_bench.adapters.bag.bag_pictures import PictureCodec
+from scope_bench.adapters.bag.bag_sink import BagSink
+from scope_bench.adapters.bag.bags import BagError, BagReader, BagTopic, BagWriter
 from scope_bench.cli.bag_record import catch_up
 from scope_bench.core.bag.account import INCOMPLETE
 from scope_bench.nodes.bag_player import BagPlayer

@@ -18,9 +18,10 @@ from sensor_msgs.msg import Image
 from std_msgs.msg import String
 
 from harris_perception.cli.stereo import stereo
-from icu_common.core.config import ConfigError
+from icu_common.core.configuration.config import ConfigError
 from icu_common.nodes import qos
-from icu_common.nodes.conversions import header, image_message
+from icu_common.nodes.messages.cameras import image_message
+from icu_common.nodes.messages.heads import header
 from scope_bench.nodes import beds_node
 from scope_bench.nodes.beds_node import BedsNode
 

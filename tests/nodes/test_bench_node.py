@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
@@ -18,8 +19,8 @@ from line_socket import LineSocket
 from rclpy.parameter import Parameter
 
 from icu_common.adapters.frame_link import FrameClient
-from icu_common.core.config import ConfigError, from_mapping
-from icu_common.core.panel_layout import load_layout
+from icu_common.core.configuration.config import ConfigError, from_mapping
+from icu_common.core.panel.panel_layout import load_layout
 from icu_common.nodes.qos import RESULTS
 from scope_bench.adapters.motion_client import MotionClient, parse_sample
 from scope_bench.adapters.simulation import Simulation
@@ -152,7 +153,7 @@ def test_the_ball_is_where_it_was_at_the_stamp(start: Any) -> None:
     deadline = time.monotonic() + 20.0
     while seen < 6:
         assert time.monotonic() < deadline, f"only {seen} pairs within the way"
-        pictures, stamp_ns = camera.read(20.0)
+        pictures, (stamp_ns, _), _ = camera.read(20.0)
         at = (stamp_ns - time.time_ns()) * 1e-9 + time.monotonic() - begin
         if not 0.1 < at < step * count - 0.1:
             assert at < step * count, "the way ended before enough pairs had come"
@@ -170,7 +171,8 @@ def test_pairs_have_a_beat_and_an_age(start: Any) -> None:
     camera = bench.camera()
     stamps = []
     for _ in range(6):
-        pictures, stamp_ns = camera.read(20.0)
+        pictures, (stamp_ns, other_ns), _ = camera.read(20.0)
+        assert stamp_ns == other_ns
         assert [p.shape for p in pictures] == [(360, 640, 3)] * 2
         stamps.append(stamp_ns)
         assert 0 < time.time_ns() - stamp_ns < 10e9
@@ -220,6 +222,66 @@ def test_truth_has_the_cameras_pose(start: Any) -> None:
     assert camera_from_panel[0] @ point + camera_from_panel[1] == pytest.approx(chained.tolist(), abs=1e-12)
     assert truth["ok"] is True
     assert truth["instrument"]["running"] is True
+
+
+STILL_PX = 360
+"""First column of the pictures that is right of all that moves by itself."""
+
+
+def shift_px(before: np.ndarray, after: np.ndarray) -> np.ndarray:
+    """Return how far the scene has moved between two images, x and y."""
+    gray = [cv2.cvtColor(image, cv2.COLOR_BGR2GRAY).astype(np.float32) for image in (before, after)]
+    window = cv2.createHanningWindow(gray[0].shape[::-1], cv2.CV_32F)
+    return np.array(cv2.phaseCorrelate(*gray, window)[0])
+
+
+def test_free_running_cameras_have_two_stamps(start: Any) -> None:
+    bench = start(
+        **{"imaging.free_running.enabled": True, "imaging.free_running.phase_ms": 20.0, "camera.rate_hz": 12.5}
+    )
+    bench.ask("set", values={"imaging.free_running.drift_ppm": 0.0})
+    camera = bench.camera()
+    for _ in range(3):
+        _, stamps_ns, cameras = camera.read(20.0)
+        assert cameras == (0, 1)
+        assert stamps_ns[0] - stamps_ns[1] == pytest.approx(20_000_000, abs=1000)
+
+
+def test_a_camera_can_be_knocked_and_effects_switched_on_while_the_bench_runs(start: Any) -> None:
+    bench = start()
+    camera = bench.camera()
+    before = camera.read(20.0).pictures
+    truth = bench.ask("truth")["camera_from_base"]
+    assert bench.ask("knock", camera="right", turn_deg=[0.0, 0.2, 0.0])["ok"]
+
+    def moved() -> list[np.ndarray]:
+        # Right of the oscilloscope's screen, whose trace moves by itself: with it, shifts differed by up to 0.2 px.
+        return [shift_px(a[:, STILL_PX:], b[:, STILL_PX:]) for a, b in zip(before, camera.read(20.0).pictures)]
+
+    deadline = time.monotonic() + 20.0
+    while abs((shifts := moved())[1][0]) < 1.0:
+        assert time.monotonic() < deadline, f"never moved: {shifts}"
+    # The camera looks 0.2 degrees further to its right: 850 px times the angle, 2.97 px in the middle of the picture.
+    # Beside it the picture plane is oblique to the rays, which the lens takes back in part: 3.08 px on average there.
+    assert shifts[1] == pytest.approx([-3.08, 0.0], abs=0.08)
+    assert shifts[0] == pytest.approx([0.0, 0.0], abs=0.01)
+    assert bench.ask("truth")["camera_from_base"] == truth, "the left camera stays"
+    bench.ask("knock", camera="left", turn_deg=[0.1, 0.0, 0.0])
+    assert bench.ask("truth")["camera_from_base"] != truth
+    assert "camera 'top'" in bench.ask("knock", camera="top", turn_deg=[0.1, 0.0, 0.0])["error"]
+    assert "limit 5 degrees" in bench.ask("knock", camera="left", turn_deg=[9.0, 0.0, 0.0])["error"]
+    sharp = camera.read(20.0).pictures[0]
+    bench.ask("set", values={"imaging.jpeg.enabled": True, "imaging.jpeg.quality": 10})
+    deadline = time.monotonic() + 20.0
+    while np.array_equal(seen := camera.read(20.0).pictures[0], sharp) or blockiness(seen) < 1.3 * blockiness(sharp):
+        assert time.monotonic() < deadline, "never compressed"
+
+
+def blockiness(image: np.ndarray) -> float:
+    """Return the steps at the borders of JPEG's blocks over those elsewhere."""
+    steps = np.abs(np.diff(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY).astype(float), axis=1)).mean(axis=0)
+    at_border = np.arange(1, len(steps) + 1) % 8 == 0
+    return float(steps[at_border].mean() / steps[~at_border].mean())
 
 
 def test_the_board_may_come_late_and_come_again(start: Any) -> None:

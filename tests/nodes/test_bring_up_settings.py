@@ -14,8 +14,14 @@ from scope_bench.cli import bring_up, graph_run
 CONFIG = Path(__file__).resolve().parents[2] / "config"
 
 
-def started(ros: Ros, given: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, dict[str, Any]]:
-    """Return what each program's node would take its parameters from, as rclpy reads its command line."""
+def started(
+    ros: Ros,
+    given: list[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    rescues: dict[str, list[str]] | None = None,
+) -> dict[str, dict[str, Any]]:
+    """Return each program's parameters, as rclpy reads its command line; note the programs' rescues in ``rescues``."""
     taken: dict[str, dict[str, Any]] = {}
 
     class Reader:
@@ -25,7 +31,9 @@ def started(ros: Ros, given: list[str], tmp_path: Path, monkeypatch: pytest.Monk
         def __init__(self, *_: Any, **__: Any) -> None:
             self.misconfigured: list[str] = []
 
-        def start(self, name: str, command: list[str], **_: Any) -> None:
+        def start(self, name: str, command: list[str], rescue: list[str], **_: Any) -> None:
+            if rescues is not None and rescue:
+                rescues[name] = rescue
             node = Node("any", context=ros.context, cli_args=command[1:], use_global_arguments=False)
             taken[name] = {key: parameter.value for key, parameter in node._parameter_overrides.items()}
             node.destroy_node()
@@ -66,6 +74,23 @@ def test_a_single_value_wins_over_the_file_of_the_profile(
     assert camera["left_calibration"] == "/lab/left.yaml"
     assert camera["right_calibration"] == f"{CONFIG}/cameras/right.yaml"
     assert camera["rate_hz"] == 30.0
+
+
+@pytest.mark.parametrize(
+    ("given", "name"),
+    [
+        (["--only", "serial_driver", "--only", "camera"], "serial_driver"),
+        (["--only", "serial_driver", "--only", "camera", "--composed"], "composed"),
+        (["--only", "camera"], ""),
+    ],
+)
+def test_the_driver_s_rescue_is_a_guard_of_its_port(
+    ros: Ros, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, given: list[str], name: str
+) -> None:
+    rescues: dict[str, list[str]] = {}
+    port = ["--set", "serial_driver.port=/dev/ttyACM0"] if name else []
+    started(ros, ["--profile", "hardware", *given, *port], tmp_path, monkeypatch, rescues)
+    assert rescues == ({name: ["gantry_guard", "--port", "/dev/ttyACM0", "--recover"]} if name else {})
 
 
 def test_a_single_value_of_a_robot_in_a_namespace(ros: Ros, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from typing import Any
 
+from rclpy.serialization import serialize_message
 from sensor_msgs.msg import CameraInfo
 from unit.harris_perception import panel_scene as scene
 
 from icu_common.nodes import qos
 from icu_common.nodes.camera_info import CameraInfoSubscription
-from icu_common.nodes.conversions import camera_info_message, header
+from icu_common.nodes.messages.cameras import camera_info_message
+from icu_common.nodes.messages.heads import header
 
 START = 1_700_000_000_000_000_001
 
@@ -36,3 +38,15 @@ def test_only_a_change_is_reported_and_each_stamp(ros: Any) -> None:
     assert send(same, 6) == 4, "asked for again"
     infos.end()
     ros.spin_until(lambda: out.get_subscription_count() == 0, 10.0)
+
+
+def test_a_damaged_message_is_dropped_and_the_next_one_is_reported(ros: Any) -> None:
+    probe, changes, stamps = ros.plain(), [], []
+    out = probe.create_publisher(CameraInfo, "camera_info", qos.IMAGES)
+    CameraInfoSubscription(ros.plain("reader"), "camera_info", qos.RESULTS, changes.append, stamps.append)
+    ros.spin_until(lambda: out.get_subscription_count() == 1, 10.0)
+    message = camera_info_message(scene.camera(), header(START, "camera_left_optical_frame"))
+    out.publish(serialize_message(message)[:60])
+    out.publish(message)
+    ros.spin_until(lambda: stamps == [START], 10.0, lambda: stamps)
+    assert changes[0].k.tolist() == message.k.tolist()

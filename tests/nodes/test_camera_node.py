@@ -15,10 +15,11 @@ from sensor_msgs.msg import CameraInfo, Image
 
 from harris_perception.nodes.camera_node import CameraNode
 from icu_common.adapters.frame_link import FrameServer
-from icu_common.core.camera_model import CameraModel
-from icu_common.core.config import ConfigError
+from icu_common.core.configuration.config import ConfigError
+from icu_common.core.geometry.camera_model import CameraModel
 from icu_common.nodes import qos
-from icu_common.nodes.conversions import camera_model, image_array, stamp_ns
+from icu_common.nodes.messages.cameras import camera_model, image_array
+from icu_common.nodes.messages.heads import stamp_ns
 
 WITHIN_S = 20.0
 STAMP_NS = 1_600_000_000_123_456_789
@@ -89,6 +90,24 @@ def test_pictures_and_calibration_carry_the_sources_stamp_and_pixels(ros: Any, t
         assert camera_model(info).k[0, 0] == 80.0 and camera_model(info).p[0, 3] == -8.2
     left, right = ([stamp_ns(m.header.stamp) for m in rig.got[t]] for t in ("left/image_raw", "right/image_raw"))
     assert left == sorted(set(left)) and set(left) & set(right)
+    server.close()
+
+
+def test_a_lost_image_is_missed_by_its_own_camera_only(ros: Any, tmp_path: Path) -> None:
+    server = FrameServer(tmp_path / "bench.sock")
+    rig = Rig(ros, tmp_path)
+    rig.serve_until(server, lambda: rig.got["left/image_raw"] and rig.got["right/image_raw"])
+    lone_ns, images = STAMP_NS + 10**9, rig.got["right/image_raw"]
+
+    def lone_comes() -> bool:
+        if server.flush():
+            server.send(pair(7)[1:], (lone_ns,), (1,))
+        return stamp_ns(images[-1].header.stamp) == lone_ns
+
+    ros.spin_until(lone_comes, WITHIN_S, rig.texts)
+    assert np.array_equal(image_array(images[-1]), pair(7)[1])
+    assert lone_ns not in {stamp_ns(m.header.stamp) for m in rig.got["left/image_raw"]}
+    assert lone_ns not in {stamp_ns(m.header.stamp) for m in rig.got["left/camera_info"]}
     server.close()
 
 

@@ -16,7 +16,8 @@ from ros_rig import Ros
 from sensor_msgs.msg import Image, PointCloud2
 
 from icu_common.nodes import qos
-from icu_common.nodes.conversions import header, image_message
+from icu_common.nodes.messages.cameras import image_message
+from icu_common.nodes.messages.heads import header
 
 ROOT = Path(__file__).resolve().parents[2]
 

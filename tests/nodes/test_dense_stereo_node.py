@@ -12,16 +12,12 @@ from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 from stereo_msgs.msg import DisparityImage
 from unit.harris_perception.rendered_stylus import stereo_model
 
-from harris_perception.core.dense_stereo import DenseStereo
+from harris_perception.core.stereo.dense_stereo import DenseStereo
 from harris_perception.nodes.dense_stereo_node import DenseStereoNode
 from icu_common.nodes import qos
-from icu_common.nodes.conversions import (
-    camera_info_message,
-    cloud_array,
-    header,
-    image_message,
-    stamp_ns,
-)
+from icu_common.nodes.messages.cameras import camera_info_message, image_message
+from icu_common.nodes.messages.clouds import cloud_array
+from icu_common.nodes.messages.heads import header, stamp_ns
 
 WITHIN_S = 30.0
 STEREO = stereo_model()

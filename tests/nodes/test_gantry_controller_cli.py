@@ -18,16 +18,17 @@ import pytest
 import yaml
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PointStamped
-from nodes.gantry_bench import RUN_STOP, GantryBench
+from nodes.gantry_bench import PRESSED, GantryBench
 from std_msgs.msg import Header, String
 from std_srvs.srv import SetBool, Trigger
 
 from gantry_driver.cli import gantry_goal, gantry_sequence
-from icu_common.core import preparation
-from icu_common.core.delays import Delay, ResultCode
-from icu_common.core.results import GoalResult, Outcome
+from icu_common.core.goals.results import GoalResult, Outcome
+from icu_common.core.processes import preparation
+from icu_common.core.processes.delays import Delay, ResultCode
 from icu_common.nodes import qos
-from icu_common.nodes.conversions import result_message, stamp_ns
+from icu_common.nodes.messages.heads import stamp_ns
+from icu_common.nodes.messages.results import result_message
 
 
 class Program:
@@ -73,10 +74,11 @@ def test_press_a_control(ros: Any, bench: GantryBench) -> None:
     code, output = Program(ros, "gantry_goal", "--control", "RUN_STOP").end()
     assert code == 0, output
     assert re.search(r"^accepted: press:RUN_STOP id=cli-\d+-\d+$", output, re.MULTILINE), output
-    assert re.search(r"^reached: .*, error 0\.000 mm \(by cameras\), \d+\.\d s$", output, re.MULTILINE), output
-    np.testing.assert_allclose(
-        bench.trajectories[1].points[-1].positions, [*RUN_STOP[:2], -RUN_STOP[2] - 0.001], atol=1e-7
+    assert re.search(r"^reached \(touched\): .*, error 0\.000 mm \(by cameras\), \d+\.\d s$", output, re.MULTILINE), (
+        output
     )
+    np.testing.assert_allclose(bench.trajectories[1].points[-1].positions, PRESSED, atol=1e-7)
+    assert len(bench.trajectories) == 3, "above it, down, and up"
 
 
 def test_move_to_a_point_and_press_a_point(ros: Any, bench: GantryBench) -> None:

@@ -7,14 +7,15 @@ from typing import Any
 import numpy as np
 import pytest
 from geometry_msgs.msg import PointStamped
-from nodes.gantry_bench import CAMERA, CAMERA_FROM_PANEL, RUN_STOP, GantryBench
+from nodes.gantry_bench import CAMERA, CAMERA_FROM_PANEL, PRESSED, RUN_STOP, GantryBench
 from rclpy.duration import Duration
 from rclpy.parameter import Parameter
 from std_msgs.msg import Float64MultiArray, Header, String
 
-from icu_common.core.frames import BASE, CAMERA_LEFT, JOINTS
-from icu_common.core.results import Outcome
-from icu_common.nodes.conversions import header, point_array, point_message
+from icu_common.core.geometry.frames import BASE, CAMERA_LEFT, JOINTS
+from icu_common.core.goals.results import Felt, Outcome
+from icu_common.nodes.messages.heads import header
+from icu_common.nodes.messages.places import point_array, point_message
 
 
 def positions(bench: GantryBench) -> list[Any]:
@@ -54,13 +55,14 @@ def test_press_with_a_correction(ros: Any) -> None:
     result = bench.spin_until_final()
     assert [(r.goal_id, r.outcome) for r in bench.results] == [("a1", Outcome.ACCEPTED), ("a1", Outcome.REACHED)]
     x, y, z = RUN_STOP
-    hover, touch = -(z + 0.010), -(z + 0.001)
+    hover, touch = -(z + 0.010), PRESSED[2]
     approach, correction, down, up = positions(bench)
     np.testing.assert_allclose(approach[-1], [x, y, hover], atol=1e-7)
     np.testing.assert_allclose(correction[-1], [x - 0.0006, y + 0.0004, hover], atol=1e-7)
     np.testing.assert_allclose(down[-1], [x - 0.0006, y + 0.0004, touch], atol=1e-7)
     np.testing.assert_allclose(up, [[x - 0.0006, y + 0.0004, 0.0]], atol=1e-7)
     assert result.error_m < 1e-6 and dict(result.details)["control"] == "RUN_STOP"
+    assert result.touch is Felt.TOUCHED
     bench.spin_until_state("ready")
     seen = [m.data for m in bench.states]
     assert {"moving", "looking", "touching", "ready"} <= set(seen)

@@ -18,8 +18,8 @@ import serial
 from nodes.grbl_board import PATIENT, AwakeClock, GrblBoard, LinkRig
 
 from gantry_driver.adapters import serial_link
-from gantry_driver.core.machine import Machine
-from gantry_driver.core.machine_config import DriverConfig
+from gantry_driver.core.machine.machine import Machine
+from gantry_driver.core.machine.machine_config import DriverConfig
 
 HOMED = (-359.0, -219.0, -1.0)
 Start = Callable[..., tuple[GrblBoard, LinkRig]]
@@ -30,9 +30,9 @@ def start(tmp_path: Path) -> Iterator[Start]:
     """Start a board and a link; both are closed in the end."""
     made: list[GrblBoard | LinkRig] = []
 
-    def make(*arguments: str, config: DriverConfig | None = None, time_scale: float = 1.0) -> tuple[GrblBoard, LinkRig]:
+    def make(*arguments: str, config: DriverConfig | None = None) -> tuple[GrblBoard, LinkRig]:
         # Near its home: how long the way there takes matters to no test.
-        board = GrblBoard(tmp_path, "--start=-350,-210,-2", *arguments, time_scale=time_scale)
+        board = GrblBoard(tmp_path, "--start=-350,-210,-2", *arguments)
         made.append(board)
         rig = LinkRig(board.port, config)
         made.append(rig)
@@ -44,7 +44,7 @@ def start(tmp_path: Path) -> Iterator[Start]:
 
 
 def test_a_path_is_executed_line_by_line_and_ends_where_it_should(start: Start) -> None:
-    board, rig = start(time_scale=2.0)
+    board, rig = start()
     rig.home()
     before = board.log()[-1]["n"]
     assert rig.go((0.1, 0.05, 0.0), (0.1, 0.05, 0.01), (0.1, 0.05, 0.0)).outcome.value == "accepted"
@@ -61,7 +61,7 @@ def test_a_path_is_executed_line_by_line_and_ends_where_it_should(start: Start) 
 
 
 def test_a_long_path_fills_the_buffer_and_loses_no_byte(start: Start) -> None:
-    board, rig = start(time_scale=2.0)
+    board, rig = start()
     rig.home()
     before = board.log()[-1]["n"]
     points = [(0.0005 * k, 0.0003 * (k % 50), 0.0) for k in range(1, 301)]
@@ -166,7 +166,7 @@ def test_nothing_goes_on_when_a_computer_that_slept_wakes(start: Start, monkeypa
 
 
 def test_unplugged_while_moving_then_back_and_unhomed(start: Start) -> None:
-    board, rig = start(time_scale=2.0)
+    board, rig = start()
     rig.home()
     rig.go((0.35, 0.2, 0.0), slow_after=0)
     rig.until(lambda: rig.state == "moving")
@@ -202,7 +202,7 @@ def test_unplugged_while_moving_then_back_and_unhomed(start: Start) -> None:
 def test_faults_in_mid_path_end_in_a_state_that_says_why(
     start: Start, fault: str, arguments: dict[str, object], state: str, reason: str
 ) -> None:
-    board, rig = start(time_scale=2.0, config=DriverConfig(enabled_at_start=True) if fault == "hang" else None)
+    board, rig = start(config=DriverConfig(enabled_at_start=True) if fault == "hang" else None)
     rig.home()
     at_once = fault in ("error", "answers")
     if at_once:
@@ -218,7 +218,7 @@ def test_faults_in_mid_path_end_in_a_state_that_says_why(
 
 
 def test_noise_between_the_answers_is_no_harm(start: Start) -> None:
-    board, rig = start(time_scale=2.0)
+    board, rig = start()
     rig.home()
     rig.go(*[(0.01 * k, 0.0, 0.0) for k in range(1, 20)])
     for _ in range(5):
@@ -277,7 +277,7 @@ def test_stop_byte_is_on_the_wire_within_ten_milliseconds() -> None:
 
 
 def test_a_program_with_arcs_runs_on_the_board_as_it_was_checked(start: Start) -> None:
-    board, rig = start(time_scale=2.0)
+    board, rig = start()
     rig.home()
     source = [
         "(a square with a round corner)",
@@ -296,7 +296,7 @@ def test_a_program_with_arcs_runs_on_the_board_as_it_was_checked(start: Start) -
 
 
 def test_a_listener_that_always_fails_does_not_end_the_thread(start: Start) -> None:
-    _, rig = start(time_scale=2.0)
+    _, rig = start()
     rig.home()
     failures: list[float] = []
 
@@ -334,7 +334,7 @@ def test_stops_during_the_retreat_let_it_finish(start: Start) -> None:
 @pytest.mark.parametrize(("dialect", "told", "buffer"), [("grblHAL", 1024, 1024), ("FluidNC", 128, 256)])
 def test_dialects_are_told_apart_and_driven_alike(tmp_path: Path, dialect: str, told: int, buffer: int) -> None:
     """The receive buffer is the one that the board names; one that names none is taken for GRBL's."""
-    board = GrblBoard(tmp_path, "--dialect", dialect, "--start=-350,-210,-2", time_scale=2.0)
+    board = GrblBoard(tmp_path, "--dialect", dialect, "--start=-350,-210,-2")
     rig = LinkRig(board.port)
     try:
         rig.home()

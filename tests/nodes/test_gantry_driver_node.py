@@ -32,14 +32,16 @@ from gantry_driver.adapters import serial_link
 from gantry_driver.nodes import serial_driver_node
 from gantry_driver.nodes.serial_driver_node import LINK_CHECK_S, SerialDriverNode
 from icu_common.adapters.real_time import steady_s
-from icu_common.core.frames import JOINTS
-from icu_common.core.results import GoalResult
-from icu_common.nodes.conversions import result_of_message
+from icu_common.core.geometry.frames import JOINTS
+from icu_common.core.goals.results import GoalResult
+from icu_common.nodes.messages.results import result_of_message
 from icu_common.nodes.qos import COMMAND, LATCHED, RESULTS, SENSOR
 
 HOMED = (-359.0, -219.0, -1.0)
 # On a busy machine the thread that waits and sends heartbeats, or the board, may be late without anybody being lost.
 PATIENCE = {"heartbeat_timeout_s": 2.0, "goal_max_age_s": 4.0, "status_timeout_s": 10.0, "hold_timeout_s": 10.0}
+# A node in this process stands still while Python collects the garbage of all tests before it.
+IN_PROCESS = {"node_silence_s": 0.5}
 # Most tests are about something else than the panel: their whole travel is free space.
 NO_PANEL = {"envelope.free_space_m": 0.06, "envelope.crossing_m": 0.06}
 SLOW_M_S = 0.03
@@ -112,11 +114,11 @@ class Operator:
 def operator(ros: Any, tmp_path: Path) -> Iterator[Callable[..., Operator]]:
     boards: list[GrblBoard] = []
 
-    def make(*arguments: str, time_scale: float = 2.0, **parameters: Any) -> Operator:
-        board = GrblBoard(tmp_path, *arguments, time_scale=time_scale)
+    def make(*arguments: str, **parameters: Any) -> Operator:
+        board = GrblBoard(tmp_path, *arguments)
         boards.append(board)
-        values = {"port": str(board.port), "trajectory_programs": "operator", **PATIENCE, **NO_PANEL, **parameters}
-        ros.node(SerialDriverNode, values)
+        values = {"port": str(board.port), "trajectory_programs": "operator", **PATIENCE, **IN_PROCESS, **NO_PANEL}
+        ros.node(SerialDriverNode, {**values, **parameters})
         return Operator(ros, board)
 
     yield make
@@ -265,7 +267,7 @@ def test_trajectory_of_a_program_that_is_not_allowed_moves_nothing(operator: Cal
 def test_second_program_stops_a_motion_in_contact_and_the_stylus_is_lifted(
     operator: Callable[..., Operator], ros: Any, topic: str, kind: Any
 ) -> None:
-    op = operator(time_scale=1.0).ready()
+    op = operator().ready()
     foreign = ros.plain("foreign")
     op.go((0.0, 0.0, 0.02), (0.021, 0.012, 0.02), (0.35, 0.2, 0.02), last_m_s=SLOW_M_S)
     op.until(lambda: op.joints and op.joints[-1].position[0] > 0.02)
@@ -289,7 +291,7 @@ def test_second_program_stops_a_motion_in_contact_and_the_stylus_is_lifted(
 
 
 def test_lost_heartbeat_stops_and_lifts(operator: Callable[..., Operator]) -> None:
-    op = operator(time_scale=1.0).ready()
+    op = operator().ready()
     op.go((0.0, 0.0, 0.02), (0.021, 0.012, 0.02), (0.35, 0.2, 0.02), last_m_s=SLOW_M_S)
     op.until(lambda: op.joints and op.joints[-1].position[0] > 0.02)
     op.beating = False
@@ -308,7 +310,7 @@ def test_lost_heartbeat_stops_and_lifts(operator: Callable[..., Operator]) -> No
 
 @pytest.mark.parametrize("way", ["topic", "service"])
 def test_stop_is_latched_until_reset(operator: Callable[..., Operator], way: str) -> None:
-    op = operator(time_scale=1.0).ready()
+    op = operator().ready()
     op.go((0.051, 0.0, 0.0), (0.35, 0.0, 0.0), last_m_s=SLOW_M_S)
     op.until(lambda: op.joints and op.joints[-1].position[0] > 0.05)
     if way == "topic":
@@ -509,7 +511,7 @@ def test_lifecycle_from_unconfigured_to_active_and_back(operator: Callable[..., 
 
 
 def test_a_flood_of_goals_moves_what_the_first_one_says(operator: Callable[..., Operator]) -> None:
-    op = operator(time_scale=1.0).ready()  # a quarter of a minute for the first one: it must outlast the flood
+    op = operator().ready()  # a quarter of a minute for the first one: it must outlast the flood
     since = op.board.log()[-1]["n"]
     op.go(*[(0.3 - 0.1 * (k % 2), 0.0, 0.0) for k in range(20)], frame_id="first")
     op.until(lambda: op.results)

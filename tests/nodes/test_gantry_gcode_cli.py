@@ -24,7 +24,7 @@ from nodes.grbl_board import GrblBoard
 
 from gantry_driver.adapters.check_mode import CheckFailed, dry_run
 from gantry_driver.cli.gantry_gcode import main
-from gantry_driver.core.settings_profile import parse_profile, profile_text
+from gantry_driver.core.grbl.settings_profile import parse_profile, profile_text
 
 GOOD = ["; a square", "G21 G90", *(f"G53 G1 X{-300 - 10 * k} Y-100 F9000" for k in range(5)), "G53 G0 X-359 Y-219"]
 PATIENCE = ("--params", str(Path(__file__).with_name("patient_driver.yaml")))
@@ -32,7 +32,7 @@ PATIENCE = ("--params", str(Path(__file__).with_name("patient_driver.yaml")))
 
 @pytest.fixture
 def board(tmp_path: Path) -> Iterator[GrblBoard]:
-    board = GrblBoard(tmp_path, "--start=-350,-210,-2", time_scale=2.0)
+    board = GrblBoard(tmp_path, "--start=-350,-210,-2")
     yield board
     board.close()
 
@@ -174,7 +174,7 @@ def test_a_dry_run_moves_nothing_and_names_what_the_board_refuses(
 @pytest.mark.parametrize("how", ["whole", "interrupted"])
 def test_a_dry_run_leaves_a_locked_board_locked(tmp_path: Path, program: Callable[..., Path], how: str) -> None:
     """Nobody has homed it: unlocked, it would take moves from a position that it does not know."""
-    board = GrblBoard(tmp_path, "--keep-running", time_scale=4.0)
+    board = GrblBoard(tmp_path, "--keep-running")
     try:
         start = board.mpos()
         path = program("G53 G1 X-300 Y-100 F9000", *["G4 P1"] * 60)
@@ -191,7 +191,7 @@ def test_a_dry_run_leaves_a_locked_board_locked(tmp_path: Path, program: Callabl
 
 
 def test_a_dry_run_says_when_it_cannot_lock_the_board_again(tmp_path: Path, program: Callable[..., Path]) -> None:
-    board = GrblBoard(tmp_path, "--set", "20=0", time_scale=4.0)
+    board = GrblBoard(tmp_path, "--set", "20=0")
     try:
         code, output = run(str(program(*GOOD)), "--port", str(board.port), "--dry-run")
         assert code == 1 and output.splitlines()[-1] == (
@@ -243,7 +243,7 @@ def test_a_dry_run_begins_where_the_program_does(board: GrblBoard, program: Call
 def test_a_dry_run_resets_a_board_that_opening_its_port_does_not_reset(
     tmp_path: Path, program: Callable[..., Path]
 ) -> None:
-    board = GrblBoard(tmp_path, "--keep-running", "--dialect", "grblHAL", time_scale=2.0)
+    board = GrblBoard(tmp_path, "--keep-running", "--dialect", "grblHAL")
     try:
         path = program("G53 G1 X-300 Y-100 F9000", *["G4 P1"] * 60)
         terminal = Terminal("run", str(path), "--port", str(board.port), "--dry-run")

@@ -15,7 +15,7 @@ from gantry_driver.nodes.serial_driver_node import SerialDriverNode
 
 
 def test_state_and_counts_are_shown(ros: Any, tmp_path: Path) -> None:
-    board = GrblBoard(tmp_path, time_scale=2.0)
+    board = GrblBoard(tmp_path)
     renamed = ["--ros-args", "-r", "gantry/driver_state:=driver_state"]
     process = None
     try:

@@ -9,11 +9,12 @@ from nodes.gantry_bench import RUN_STOP, GantryBench
 from rcl_interfaces.msg import Log
 from std_msgs.msg import String
 
-from icu_common.core.delays import delay_of
-from icu_common.core.frames import BASE
-from icu_common.core.results import Outcome
+from icu_common.core.geometry.frames import BASE
+from icu_common.core.goals.results import Outcome
+from icu_common.core.processes.delays import delay_of
 from icu_common.nodes import qos
-from icu_common.nodes.conversions import header, point_message
+from icu_common.nodes.messages.heads import header
+from icu_common.nodes.messages.places import point_message
 
 
 def ready(ros: Any, parameters: dict[str, Any] | None = None) -> GantryBench:

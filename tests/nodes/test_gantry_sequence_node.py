@@ -14,10 +14,12 @@ from std_msgs.msg import Empty, String
 
 from gantry_driver.nodes.sequence_node import SequenceNode
 from icu_common.adapters.real_time import steady_s
-from icu_common.core.panel_state import ControlSeen, PanelSeen
-from icu_common.core.results import GoalResult, Outcome
+from icu_common.core.goals.results import GoalResult, Outcome
+from icu_common.core.panel.panel_state import ControlSeen, PanelSeen
 from icu_common.nodes import qos
-from icu_common.nodes.conversions import header, panel_state_message, result_message, result_of_message
+from icu_common.nodes.messages.heads import header
+from icu_common.nodes.messages.panels import panel_state_message
+from icu_common.nodes.messages.results import result_message, result_of_message
 
 
 class Rig:

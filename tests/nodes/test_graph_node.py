@@ -12,10 +12,10 @@ from rclpy.qos import QoSProfile
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import String
 
-from icu_common.adapters.step_ledger import LEDGER_VARIABLE, StepLedger
+from icu_common.adapters.steps.step_ledger import LEDGER_VARIABLE, StepLedger
 from icu_common.nodes import qos
-from icu_common.nodes.conversions import time_message
 from icu_common.nodes.graph_node import GraphNode, this_process
+from icu_common.nodes.messages.heads import time_message
 from icu_common.nodes.newest import NewestSubscription
 from icu_common.nodes.timers import every, seconds_of
 

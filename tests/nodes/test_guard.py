@@ -12,18 +12,20 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from nodes.guard_rig import HOMED, GuardRig
+from nodes.guard_rig import HOMED, BringUpRig, GuardRig, children
 from rclpy.serialization import serialize_message
 from std_srvs.srv import SetBool
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
+from gantry_driver.core.machine.stylus_state import STYLUS_DOWN_M
 from icu_common.adapters.direct_stop.line import send_stop, stop_path
-from icu_common.core.frames import JOINTS
+from icu_common.core.geometry.frames import JOINTS
 
 HELD_S, LIFTS_S = 1.0, 2.0
 """Limits in seconds on a busy computer with two cores, by the board's own record; benchmarks/bench_guard.py has those
 of a free one. The test reads the board's clock after the fault, because it may be delayed between the two."""
-NOT_LIFTED = "the stylus was not lifted, it may still press"
+PRESSING_S = 2.0
+"""Maximum seconds of contact after the cause, whatever it is."""
 
 Start = Callable[..., GuardRig]
 
@@ -101,24 +103,65 @@ def test_a_node_that_ends_at_rest_leaves_the_machine_as_it_is(start: Start) -> N
     assert len(rig.guards()) == 1
 
 
-@pytest.mark.parametrize("keeps", [True, False])
-def test_a_guard_that_is_killed_in_contact_is_started_again_and_lifts(start: Start, keeps: bool) -> None:
-    rig = start(*(["--keep-running"] if keeps else []))
+@pytest.mark.parametrize("board", ["is reset by the edge of DTR", "--keep-running"])
+def test_a_guard_that_is_killed_in_contact_is_started_again_and_lifts(start: Start, board: str) -> None:
+    rig = start(*([board] if board.startswith("--") else []))
     rig.press()
     rig.op.states.clear()
     (first,) = rig.guards()
+    begun_s = rig.now_s()
     os.kill(first, signal.SIGKILL)
-    rig.op.until(lambda: rig.guards() not in ([], [first]))
-    rig.op.until(lambda: any(text.startswith("disconnected: the guard has ended") for text in rig.op.states))
-    if keeps:
-        rig.until_lifted()
-        rig.op.state("stopped: the stylus was left down while no driver was connected")
-    else:  # opening the port restarted the board, so it has no position
-        rig.op.state(f"unhomed: {NOT_LIFTED}")
-        rig.op.until(lambda: rig.op.call("enable", SetBool, data=True).success)
-        rig.op.until(lambda: rig.op.call("home").success)
-        rig.op.state("idle")
-        assert rig.board.mpos() == pytest.approx(HOMED, abs=0.02)
+    assert rig.until_lifted() - begun_s < PRESSING_S
+    assert any(text.startswith("disconnected: the guard has ended") for text in rig.op.states)
+    rig.op.state("stopped: the stylus was left down while no driver was connected")
+    assert rig.guards() not in ([], [first])
+
+
+@pytest.fixture
+def supervised(ros: Any, tmp_path: Path) -> Iterator[BringUpRig]:
+    rig = BringUpRig(ros, tmp_path)
+    try:
+        rig.op.ready()
+        yield rig
+    finally:
+        rig.close()
+
+
+@pytest.mark.parametrize("first", ["guard", "node"])
+def test_a_guard_and_a_node_that_are_killed_together_leave_the_stylus_down_for_less_than_two_seconds(
+    supervised: BringUpRig, first: str
+) -> None:
+    rig = supervised
+    rig.press()
+    (guard,) = rig.guards()
+    x, y, _ = rig.board.mpos()
+    rig.op.states.clear()
+    since, begun_s = rig.entry(), rig.now_s()
+    if first == "node":
+        rig.kill_node()
+        rig.op.until(lambda: children(rig.node.pid, "gantry_guard"))  # it waits for the end of the first guard
+    os.kill(guard, signal.SIGKILL)
+    if first == "guard":
+        rig.kill_node()
+    # A guard that is killed at the end of its lift leaves less than what counts as extended.
+    assert rig.until_lifted(up_mm=1000.0 * STYLUS_DOWN_M) - begun_s < PRESSING_S
+    rig.op.until(lambda: any(text.startswith(("stopped: ", "unhomed")) for text in rig.op.states))
+    assert rig.board.mpos()[:2] == pytest.approx((x, y), abs=0.02), "nothing but the stylus has moved"
+    moves = {e["text"] for e in rig.board.log(since) if e["kind"] == "line" and e["text"].endswith("G1")}
+    assert moves == {"F1800Z-1G53G1"}
+
+
+def test_a_guard_and_a_node_that_are_killed_together_in_travel_are_held(supervised: BringUpRig) -> None:
+    rig = supervised
+    rig.op.go((0.05, 0.05, 0.0), (0.3, 0.05, 0.0), last_m_s=0.05)
+    rig.op.until(lambda: rig.board.mpos()[0] > HOMED[0] + 60.0)
+    since, begun_s = rig.entry(), rig.now_s()
+    rig.op.states.clear()
+    os.kill(rig.guards()[0], signal.SIGKILL)
+    rig.kill_node()
+    rig.op.state("unhomed")
+    assert rig.held_s(since) - begun_s < HELD_S
+    assert rig.board.mpos()[0] < HOMED[0] + 290, "it stopped before the end of its path"
 
 
 def test_a_goal_under_way_is_aborted_when_the_guard_ends(start: Start) -> None:
@@ -193,7 +236,8 @@ def test_a_second_driver_of_the_port_says_that_it_is_in_use(start: Start) -> Non
 
 
 def test_the_guard_loads_neither_ros_nor_numpy() -> None:
-    code = "import sys, gantry_driver.cli.gantry_guard; print(sorted({name.partition('.')[0] for name in sys.modules}))"
+    modules = "gantry_driver.cli.gantry_guard, gantry_driver.adapters.guard.server"
+    code = f"import sys, {modules}; print(sorted({{name.partition('.')[0] for name in sys.modules}}))"
     found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
     loaded = set(eval(found)) - sys.stdlib_module_names
     start_up = subprocess.run(
@@ -211,3 +255,38 @@ def test_a_running_guard_has_loaded_neither_ros_nor_numpy(start: Start) -> None:
     maps = Path(f"/proc/{guard}/maps").read_text()
     assert "libpython" in maps or "python" in maps
     assert not [word for word in ("numpy", "rclpy", "librcl", "fastdds", "fastrtps") if word in maps]
+
+
+NOTE_LEVELS = """
+import fcntl, os, struct, sys, termios
+
+ioctl = fcntl.ioctl
+names = {termios.TIOCM_DTR: "dtr", termios.TIOCM_RTS: "rts"}
+
+def note(fd, request, argument=0, *more):
+    if request not in (termios.TIOCMBIS, termios.TIOCMBIC):
+        return ioctl(fd, request, argument, *more)
+    name = names[struct.unpack("I", argument)[0]]
+    level, program = request == termios.TIOCMBIS, " ".join(sys.orig_argv)
+    with open(os.environ["LEVELS_FILE"], "a") as file:
+        print(f"{name}={level} {os.readlink(f'/proc/self/fd/{fd}')} {program}", file=file)
+    return argument
+
+fcntl.ioctl = note
+"""
+"""Module that Python loads at its start: it notes which levels a program sets, because a pseudo-terminal has none."""
+
+
+@pytest.mark.parametrize(("dtr", "rts"), [(True, True), (False, True), (True, False)])
+def test_the_guard_opens_the_port_with_the_levels_of_the_nodes_settings(
+    start: Start, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, dtr: bool, rts: bool
+) -> None:
+    levels = tmp_path / "levels"
+    (tmp_path / "early").mkdir()
+    (tmp_path / "early" / "sitecustomize.py").write_text(NOTE_LEVELS)
+    monkeypatch.setenv("LEVELS_FILE", str(levels))
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(tmp_path / "early"), os.environ.get("PYTHONPATH", "")]))
+    rig = start(dtr=str(dtr).lower(), rts=str(rts).lower())
+    noted = levels.read_text().splitlines()
+    assert all("gantry_guard" in line and os.path.realpath(rig.board.port) in line for line in noted), noted
+    assert [line.split()[0] for line in noted] == [f"dtr={dtr}", f"rts={rts}"]

@@ -15,14 +15,16 @@ from nodes.guard_rig import HOMED, guards_of
 
 from gantry_driver.adapters.guard.client import GuardLink
 from gantry_driver.core.envelope.config import EnvelopeConfig
+from gantry_driver.core.grbl.trajectory_gcode import Waypoint
 from gantry_driver.core.guard.messages import frame
-from gantry_driver.core.machine_config import DriverConfig
-from gantry_driver.core.machine_states import Answered, Event, StateChanged
-from gantry_driver.core.trajectory_gcode import Waypoint
+from gantry_driver.core.machine.machine_config import DriverConfig
+from gantry_driver.core.machine.machine_states import Answered, Event, StateChanged
 from icu_common.adapters.direct_stop.line import guard_folder, received_stop, send_stop
-from icu_common.core.frames import JOINTS
+from icu_common.core.geometry.frames import JOINTS
 
 PRESSED_M = 0.02
+PRESSING_S = 2.0
+"""Maximum seconds until the stylus leaves the panel, whatever the cause."""
 
 
 class Client:
@@ -135,7 +137,10 @@ def test_a_client_that_sends_garbage_is_disconnected_and_the_stylus_lifted(
 def test_a_guard_that_hangs_is_killed_and_started_again_and_lifts(start: Callable[..., Client]) -> None:
     client = start("--keep-running")
     (guard,) = guards_of(client.board.port)
+    at, begun_s = client.board.mpos(), float(client.board.ask("state")["t"])
     os.kill(guard, signal.SIGSTOP)
+    client.until(lambda: client.board.mpos()[2] > at[2] + 1.0)
+    assert float(client.board.ask("state")["t"]) - begun_s < PRESSING_S
     said = "disconnected: the guard hangs and is restarted; the stylus was not lifted, it may still press"
     client.until(lambda: said in client.states, 30.0)
     client.until(client.lifted, 30.0)

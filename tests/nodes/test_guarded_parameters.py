@@ -11,14 +11,14 @@ import numpy as np
 import pytest
 from nodes.gantry_bench import GantryBench
 from nodes.grbl_board import GrblBoard
-from nodes.test_gantry_driver_node import NO_PANEL, PATIENCE, Operator
+from nodes.test_gantry_driver_node import IN_PROCESS, NO_PANEL, PATIENCE, Operator
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from gantry_driver.core.controller_config import ControllerConfig
-from gantry_driver.core.machine_config import DriverConfig
+from gantry_driver.core.goals.controller_config import ControllerConfig
+from gantry_driver.core.machine.machine_config import DriverConfig
 from gantry_driver.nodes.serial_driver_node import SerialDriverNode
-from icu_common.core.config import Config, ConfigItem, settings_of, to_mapping
+from icu_common.core.configuration.config import Config, ConfigItem, settings_of, to_mapping
 
 
 def guards(config_class: type[Config]) -> list[ConfigItem]:
@@ -47,14 +47,14 @@ def assert_all_refused(node: Node, config_class: type[Config], live: Any, reason
 
 @pytest.fixture
 def board(ros: Any, tmp_path: Path) -> Iterator[GrblBoard]:
-    with contextlib.closing(GrblBoard(tmp_path, time_scale=2.0)) as made:
+    with contextlib.closing(GrblBoard(tmp_path)) as made:
         yield made
         ros.close()
         ros.nodes.clear()
 
 
 def test_driver_keeps_its_safety_settings_while_the_stylus_presses_or_moves(ros: Any, board: GrblBoard) -> None:
-    values = {"port": str(board.port), "trajectory_programs": "operator", **PATIENCE, **NO_PANEL}
+    values = {"port": str(board.port), "trajectory_programs": "operator", **PATIENCE, **IN_PROCESS, **NO_PANEL}
     node = ros.node(SerialDriverNode, values)
     op = Operator(ros, board).ready()
     op.go((0.05, 0.05, 0.03), frame_id="down")

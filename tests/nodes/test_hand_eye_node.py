@@ -18,25 +18,20 @@ from std_msgs.msg import Float64MultiArray, String
 from std_srvs.srv import Trigger
 from unit.harris_perception.rectified_pair import camera, measured_face, stored_calibration
 
-from harris_perception.core.calibration_file import StoredCalibration, load, save
-from harris_perception.core.hand_eye import Sample
-from harris_perception.core.planar_pose import FACE_POINT_COLUMNS
+from harris_perception.core.hand_eye.calibration_file import StoredCalibration, load, save
+from harris_perception.core.hand_eye.hand_eye import Sample
+from harris_perception.core.pose.planar_pose import FACE_POINT_COLUMNS
 from harris_perception.nodes.hand_eye_node import HandEyeNode
-from icu_common.core.frames import BASE, CAMERA_LEFT, JOINTS
-from icu_common.core.geometry import Transform
-from icu_common.core.results import GoalResult, Outcome
+from icu_common.core.geometry.frames import BASE, CAMERA_LEFT, JOINTS
+from icu_common.core.geometry.geometry import Transform
+from icu_common.core.goals.results import GoalResult, Outcome
 from icu_common.nodes import qos
-from icu_common.nodes.conversions import (
-    camera_info_message,
-    cloud_message,
-    header,
-    joint_message,
-    point_message,
-    pose_message,
-    result_message,
-    stamp_ns,
-    transform_of_message,
-)
+from icu_common.nodes.messages.cameras import camera_info_message
+from icu_common.nodes.messages.clouds import cloud_message
+from icu_common.nodes.messages.heads import header, stamp_ns
+from icu_common.nodes.messages.joints import joint_message
+from icu_common.nodes.messages.places import point_message, pose_message, transform_of_message
+from icu_common.nodes.messages.results import result_message
 
 AXES = np.array([[1.003, -0.002], [0.0, 0.998]])
 TURN = np.asarray(cv2.Rodrigues(np.array([2.71, 0.05, -0.08]))[0], dtype=float)

@@ -15,7 +15,10 @@ from sensor_msgs.msg import Image, PointCloud2
 
 from harris_perception.nodes.corners_node import CornersNode
 from icu_common.nodes import qos
-from icu_common.nodes.conversions import LEVELS, cloud_array, header, image_array, image_message, stamp_ns
+from icu_common.nodes.messages.cameras import image_array, image_message
+from icu_common.nodes.messages.clouds import cloud_array
+from icu_common.nodes.messages.heads import header, stamp_ns
+from icu_common.nodes.messages.results import LEVELS
 
 SQUARE = sorted([(10.0, 12.0), (10.0, 31.0), (49.0, 12.0), (49.0, 31.0)])
 BAYER = {"bayer_rggb8": "rggb", "bayer_bggr8": "bggr", "bayer_gbrg8": "gbrg", "bayer_grbg8": "grbg"}

@@ -14,7 +14,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import CameraInfo, Image
 
-from icu_common.core.supervision import DEAF, READY_VARIABLE
+from icu_common.core.processes.supervision import DEAF, READY_VARIABLE
 from icu_common.nodes import diagnostics, qos
 from icu_common.nodes.diagnostics import Diagnostics
 from icu_common.nodes.graph_node import this_process

@@ -10,7 +10,7 @@ import pytest
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from icu_common.core.config import Config, ConfigError, nested, setting
+from icu_common.core.configuration.config import Config, ConfigError, nested, setting
 from icu_common.nodes.parameters import LiveParameters
 from icu_common.nodes.runtime import own_arguments, ros_session
 

@@ -13,8 +13,8 @@ from typing import Any
 
 import pytest
 
-from icu_common.adapters.hanging_programs import write_hanging
-from icu_common.core.supervision import HANGING_VARIABLE
+from icu_common.adapters.processes.hanging_programs import write_hanging
+from icu_common.core.processes.supervision import HANGING_VARIABLE
 from scope_ui_bridge.nodes.bridge_node import BridgeNode
 
 WITHIN_S = 30.0

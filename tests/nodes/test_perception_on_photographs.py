@@ -19,15 +19,10 @@ from harris_perception.nodes.corners_node import CornersNode
 from harris_perception.nodes.recognition_node import RecognitionNode
 from harris_perception.nodes.stereo_node import StereoNode
 from icu_common.nodes import qos
-from icu_common.nodes.conversions import (
-    camera_info_message,
-    cloud_array,
-    header,
-    image_array,
-    image_message,
-    stamp_ns,
-    transform_of_pose,
-)
+from icu_common.nodes.messages.cameras import camera_info_message, image_array, image_message
+from icu_common.nodes.messages.clouds import cloud_array
+from icu_common.nodes.messages.heads import header, stamp_ns
+from icu_common.nodes.messages.places import transform_of_pose
 
 PHOTOGRAPHS = Path(os.environ.get("ICU_TEST_DATA", ""))
 BOARDS = PHOTOGRAPHS / "boards"

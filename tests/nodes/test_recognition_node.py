@@ -19,29 +19,23 @@ from std_msgs.msg import Float32, String
 from unit.harris_perception import panel_scene as scene
 from visualization_msgs.msg import Marker, MarkerArray
 
-from harris_perception.core.gray import gray_of
-from harris_perception.core.harris import HarrisDetector
-from harris_perception.core.planar_pose import FACE_POINT_COLUMNS, FacePoints
+from harris_perception.core.corners.harris import HarrisDetector
+from harris_perception.core.image.gray import gray_of
+from harris_perception.core.pose.planar_pose import FACE_POINT_COLUMNS, FacePoints
 from harris_perception.nodes.recognition_node import RecognitionNode
-from icu_common.core.camera_model import CameraModel
-from icu_common.core.config import ConfigError
-from icu_common.core.frames import CAMERA_LEFT, PANEL
-from icu_common.core.geometry import Transform
-from icu_common.core.panel_layout import load_layout, parse_layout
-from icu_common.core.results import Outcome
+from icu_common.core.configuration.config import ConfigError
+from icu_common.core.geometry.camera_model import CameraModel
+from icu_common.core.geometry.frames import CAMERA_LEFT, PANEL
+from icu_common.core.geometry.geometry import Transform
+from icu_common.core.goals.results import Outcome
+from icu_common.core.panel.panel_layout import load_layout, parse_layout
 from icu_common.nodes import qos
-from icu_common.nodes.conversions import (
-    camera_info_message,
-    cloud_array,
-    cloud_message,
-    controls_of_message,
-    header,
-    image_message,
-    panel_state_of_message,
-    result_of_message,
-    stamp_ns,
-    transform_of_pose,
-)
+from icu_common.nodes.messages.cameras import camera_info_message, image_message
+from icu_common.nodes.messages.clouds import cloud_array, cloud_message
+from icu_common.nodes.messages.heads import header, stamp_ns
+from icu_common.nodes.messages.panels import controls_of_message, panel_state_of_message
+from icu_common.nodes.messages.places import transform_of_pose
+from icu_common.nodes.messages.results import result_of_message
 
 LAYOUT = scene.bench_layout()
 CAMERA = scene.camera()

@@ -11,12 +11,14 @@ from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PointStamped
 from nodes.test_recognition_node import PERIOD, START, Rig
 from std_msgs.msg import Header
-from unit.harris_perception.test_panel_state import AWAY, LAYOUT, Scene
+from unit.harris_perception.recognition.test_panel_state import AWAY, LAYOUT, Scene
 
-from icu_common.core.frames import CAMERA_LEFT
-from icu_common.core.panel_state import ControlSeen
+from icu_common.core.geometry.frames import CAMERA_LEFT
+from icu_common.core.panel.panel_state import ControlSeen
 from icu_common.nodes import qos
-from icu_common.nodes.conversions import header, panel_state_of_message, point_message
+from icu_common.nodes.messages.heads import header
+from icu_common.nodes.messages.panels import panel_state_of_message
+from icu_common.nodes.messages.places import point_message
 from scope_bench.core.instrument import InstrumentState
 from scope_bench.core.renderer import Moment
 

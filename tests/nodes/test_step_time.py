@@ -19,9 +19,9 @@ import pytest
 from nodes.test_bench_node import LAYOUT_FILE, SMALL
 
 from icu_common.adapters.frame_link import FRAMES, FrameClient
-from icu_common.adapters.step_ledger import BYTES_READ, BYTES_WRITTEN, StepLedger
-from icu_common.core.config import ConfigError, from_mapping
-from icu_common.core.panel_layout import load_layout
+from icu_common.adapters.steps.step_ledger import BYTES_READ, BYTES_WRITTEN, StepLedger
+from icu_common.core.configuration.config import ConfigError, from_mapping
+from icu_common.core.panel.panel_layout import load_layout
 from scope_bench.adapters.simulation import Simulation
 from scope_bench.adapters.step_time import SERIAL_PATIENCE_S, StepTime
 from scope_bench.core.configuration import BenchConfig
@@ -124,7 +124,7 @@ def test_time_stands_still_until_the_images_have_been_processed(
         node.finish_all(FRAMES)
     stamps = []
     for _ in range(4):
-        _, stamp_ns = stepped.camera.read(DEADLINE_S)
+        _, (stamp_ns, _), _ = stepped.camera.read(DEADLINE_S)
         stamps.append(stamp_ns)
         count = len(stepped.published)
         select.select([], [], [], 0.05)  # several steps, if nothing held them up
@@ -169,7 +169,7 @@ def test_images_of_a_moment_are_the_same_on_a_slow_computer(tmp_path: Path) -> N
         images: dict[float, bytes] = {}
         with stepped_bench(tmp_path / name, bench) as running:
             while len(images) < 20:
-                pair, stamp_ns = running.camera.read(DEADLINE_S)
+                pair, (stamp_ns, _), _ = running.camera.read(DEADLINE_S)
                 images[round((stamp_ns - running.steps.start_ns) / 1e9, 6)] = b"".join(one.tobytes() for one in pair)
                 select.select([], [], [], pause_s)
                 node.finish_all(FRAMES)

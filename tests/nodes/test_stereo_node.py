@@ -14,20 +14,15 @@ from geometry_msgs.msg import PoseStamped
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 from unit.harris_perception.rendered_stylus import stereo_model
 
-from harris_perception.core.harris import HarrisConfig, HarrisDetector
-from harris_perception.core.stereo_matching import MatchConfig
+from harris_perception.core.corners.harris import HarrisConfig, HarrisDetector
+from harris_perception.core.stereo.stereo_matching import MatchConfig
 from harris_perception.nodes.stereo_node import Matcher, StereoConfig, StereoNode
-from icu_common.core.camera_model import StereoModel
+from icu_common.core.geometry.camera_model import StereoModel
 from icu_common.nodes import qos
-from icu_common.nodes.conversions import (
-    camera_info_message,
-    cloud_array,
-    cloud_message,
-    header,
-    image_message,
-    stamp_ns,
-    transform_of_pose,
-)
+from icu_common.nodes.messages.cameras import camera_info_message, image_message
+from icu_common.nodes.messages.clouds import cloud_array, cloud_message
+from icu_common.nodes.messages.heads import header, stamp_ns
+from icu_common.nodes.messages.places import transform_of_pose
 
 WITHIN_S = 30.0
 STEREO = stereo_model()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from typing import Any
 
 import cv2
@@ -9,13 +10,16 @@ import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PointStamped
+from rclpy.parameter import Parameter
 from sensor_msgs.msg import CameraInfo, Image
 from std_msgs.msg import Header
 from unit.harris_perception.rendered_stylus import render, stereo_model
 
 from harris_perception.nodes.stylus_node import StylusNode
 from icu_common.nodes import qos
-from icu_common.nodes.conversions import camera_info_message, header, image_message, point_array, stamp_ns
+from icu_common.nodes.messages.cameras import camera_info_message, image_message
+from icu_common.nodes.messages.heads import header, stamp_ns
+from icu_common.nodes.messages.places import point_array
 
 WITHIN_S = 30.0
 STEREO = stereo_model()
@@ -77,3 +81,53 @@ def test_the_tip_is_published_where_it_is_certain(ros: Any) -> None:
     ros.spin_until(lambda: any("'mono8' has no color" in text for text in said()), WITHIN_S, said)
     show(8_000_000_000, [picture[:, :, :2] for picture in second], "yuv422")
     ros.spin_until(lambda: any("'yuv422' is none of mono8, bgr8" in text for text in said()), WITHIN_S, said)
+
+
+def test_free_running_cameras_give_tips_or_a_code_with_what_to_set(ros: Any) -> None:
+    """Two cameras without a trigger, 12 ms apart: there was no tip, and no word about it."""
+    probe = ros.plain()
+    models = {"left": STEREO.left, "right": STEREO.right}
+    images = {side: probe.create_publisher(Image, f"{side}/image_raw", qos.IMAGES) for side in models}
+    infos = {side: probe.create_publisher(CameraInfo, f"{side}/camera_info", qos.IMAGES) for side in models}
+    tips: list[PointStamped] = ros.collect(probe, PointStamped, "tip", qos.RESULTS)
+    diagnostics: list[DiagnosticArray] = ros.collect(probe, DiagnosticArray, "/diagnostics", qos.RESULTS)
+    node = ros.node(StylusNode)
+    matched = [*images.values(), *infos.values()]
+    ros.spin_until(lambda: all(p.get_subscription_count() for p in matched), WITHIN_S)
+    ros.spin_until(lambda: probe.count_publishers("tip"), WITHIN_S)
+    pictures = dict(zip(models, render(STEREO, TIPS[0], np.random.default_rng(2))))
+    shown, sent = [1_000_000_000], [0, 0.0]
+
+    def show(side: str, stamp: int) -> None:
+        head = header(stamp, f"camera_{side}_optical_frame")
+        infos[side].publish(camera_info_message(models[side], head))
+        images[side].publish(image_message(pictures[side], "bgr8", head))
+
+    def show_both() -> None:
+        shown[0] += 33_333_333
+        show("left", shown[0])
+        show("right", shown[0] + 12_000_000)
+
+    def values() -> dict[str, str]:
+        own = [s for d in diagnostics for s in d.status if s.name == "stylus_tracker"]
+        return {v.key: v.value for v in own[-1].values} | {"text": own[-1].message} if own else {}
+
+    def shows(condition: Any) -> Any:
+        def look() -> bool:
+            # One pair after the other: a node that is behind would lose images, and see another period.
+            if node._received >= sent[0] or time.monotonic() > sent[1]:
+                show_both()
+                sent[:] = node._received + 1, time.monotonic() + 1.0
+            return bool(condition())
+
+        return look
+
+    ros.spin_until(shows(lambda: len(tips) >= 5), WITHIN_S, values)
+    assert np.abs(point_array(tips[-1]) - TIPS[0])[:2].max() < 0.0002
+    assert (stamp_ns(tips[-1].header.stamp) - 1_000_000_000) % 33_333_333 == 0, "at the left image's instant"
+    ros.spin_until(shows(lambda: values().get("pairing") == "interpolated"), WITHIN_S, values)
+    assert float(values()["difference_ms"]) == pytest.approx(12.0, abs=0.01)
+    node.set_parameters([Parameter("free_running", value=False)])
+    ros.spin_until(shows(lambda: values().get("pairing") == "no_pair"), WITHIN_S, values)
+    assert values()["parameter"] == "free_running" and values()["tolerance_ms"] == "4"
+    assert "left and right images differ by 12.0 ms, tolerance 4 ms: set free_running" in values()["text"]

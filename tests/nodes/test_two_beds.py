@@ -21,7 +21,8 @@ from std_msgs.msg import Header, String
 from std_srvs.srv import SetBool, Trigger
 
 from icu_common.nodes import qos
-from icu_common.nodes.conversions import header, point_message
+from icu_common.nodes.messages.heads import header
+from icu_common.nodes.messages.places import point_message
 from scope_bench.nodes.beds_node import BedsNode
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -34,29 +34,21 @@ from visualization_msgs.msg import MarkerArray
 
 from icu_common.adapters.direct_stop.line import open_stop_socket, received_stop, stop_path
 from icu_common.adapters.real_time import BRIDGE
-from icu_common.core.config import ConfigError, settings_of
-from icu_common.core.frames import BASE, CAMERA_LEFT, JOINTS, PANEL
-from icu_common.core.geometry import Transform
-from icu_common.core.gesture import parse_gesture
-from icu_common.core.panel_layout import load_layout
-from icu_common.core.panel_state import ControlSeen, PanelSeen
-from icu_common.core.results import GoalResult, Outcome
+from icu_common.core.configuration.config import ConfigError, settings_of
+from icu_common.core.geometry.frames import BASE, CAMERA_LEFT, JOINTS, PANEL
+from icu_common.core.geometry.geometry import Transform
+from icu_common.core.goals.results import GoalResult, Outcome
+from icu_common.core.panel.gesture import parse_gesture
+from icu_common.core.panel.panel_layout import load_layout
+from icu_common.core.panel.panel_state import ControlSeen, PanelSeen
 from icu_common.nodes import qos
-from icu_common.nodes.conversions import (
-    camera_info_message,
-    cloud_message,
-    controls_message,
-    header,
-    image_message,
-    joint_message,
-    panel_state_message,
-    point_message,
-    pose_message,
-    result_message,
-    stamp_ns,
-    trajectory_message,
-    transform_message,
-)
+from icu_common.nodes.messages.cameras import camera_info_message, image_message
+from icu_common.nodes.messages.clouds import cloud_message
+from icu_common.nodes.messages.heads import header, stamp_ns
+from icu_common.nodes.messages.joints import joint_message, trajectory_message
+from icu_common.nodes.messages.panels import controls_message, panel_state_message
+from icu_common.nodes.messages.places import point_message, pose_message, transform_message
+from icu_common.nodes.messages.results import result_message
 from scope_ui_bridge.core import stop_cause
 from scope_ui_bridge.core.config import BridgeConfig
 from scope_ui_bridge.nodes import foxglove_sidecar

@@ -16,9 +16,10 @@ import numpy as np
 from rclpy.node import Node
 from sensor_msgs.msg import CameraInfo, Image
 
-from icu_common.core.frames import CAMERA_LEFT
+from icu_common.core.geometry.frames import CAMERA_LEFT
 from icu_common.nodes import qos
-from icu_common.nodes.conversions import header, image_message
+from icu_common.nodes.messages.cameras import image_message
+from icu_common.nodes.messages.heads import header
 from icu_common.nodes.runtime import run
 
 BLOCK_PX = 20

@@ -17,6 +17,7 @@ from typing import Any
 
 import pytest
 from line_socket import BoardSocket, LineSocket
+from ros_rig import domain_of_worker
 from system.operator_browser import browser  # noqa: F401
 from system.terminal_operator import operator  # noqa: F401
 
@@ -188,7 +189,7 @@ def started_graph(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningG
     programs = f"{PROGRAMS} operator"
     nodes = ("serial_driver", "gantry_controller")
     patience += [text for node in nodes for text in ("--set", f"{node}.heartbeat_programs={programs}")]
-    graph = RunningGraph(tmp_path_factory.mktemp("graph"), 50 + os.getpid() % 40, *patience)
+    graph = RunningGraph(tmp_path_factory.mktemp("graph"), domain_of_worker(50, 40), *patience)
     try:
         yield graph
     finally:

@@ -14,7 +14,8 @@ from rclpy.qos import QoSProfile
 from sensor_msgs.msg import Image
 
 from icu_common.nodes import qos
-from icu_common.nodes.conversions import image_array, stamp_ns
+from icu_common.nodes.messages.cameras import image_array
+from icu_common.nodes.messages.heads import stamp_ns
 from icu_common.nodes.runtime import prepare_transport
 
 

@@ -28,30 +28,21 @@ from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
 from visualization_msgs.msg import MarkerArray
 
-from icu_common.core.camera_model import CameraModel
-from icu_common.core.frames import BASE, CAMERA_LEFT, JOINTS, PANEL
-from icu_common.core.geometry import Transform
-from icu_common.core.gesture import parse_gesture
-from icu_common.core.panel_layout import Control, PanelLayout, load_layout, rgb
-from icu_common.core.panel_state import ControlSeen, PanelSeen
-from icu_common.core.results import GoalResult, Outcome
+from icu_common.core.geometry.camera_model import CameraModel
+from icu_common.core.geometry.frames import BASE, CAMERA_LEFT, JOINTS, PANEL
+from icu_common.core.geometry.geometry import Transform
+from icu_common.core.goals.results import GoalResult, Outcome
+from icu_common.core.panel.gesture import parse_gesture
+from icu_common.core.panel.panel_layout import Control, PanelLayout, load_layout, rgb
+from icu_common.core.panel.panel_state import ControlSeen, PanelSeen
 from icu_common.nodes import qos
-from icu_common.nodes.conversions import (
-    camera_info_message,
-    cloud_message,
-    controls_message,
-    header,
-    image_message,
-    joint_message,
-    panel_state_message,
-    point_message,
-    pose_message,
-    result_message,
-    result_of_message,
-    stamp_ns,
-    trajectory_message,
-    transform_message,
-)
+from icu_common.nodes.messages.cameras import camera_info_message, image_message
+from icu_common.nodes.messages.clouds import cloud_message
+from icu_common.nodes.messages.heads import header, stamp_ns
+from icu_common.nodes.messages.joints import joint_message, trajectory_message
+from icu_common.nodes.messages.panels import controls_message, panel_state_message
+from icu_common.nodes.messages.places import point_message, pose_message, transform_message
+from icu_common.nodes.messages.results import result_message, result_of_message
 from icu_common.nodes.runtime import run
 
 LAYOUT = Path(__file__).resolve().parents[2] / "config" / "scopes" / "dso_bench_4.yaml"

@@ -15,9 +15,11 @@ from ros_rig import Ros, keeping_all, participant
 from std_msgs.msg import Header, String
 from std_srvs.srv import Trigger
 
-from icu_common.core.results import GoalResult, Outcome
+from icu_common.core.goals.results import GoalResult, Outcome
 from icu_common.nodes import qos
-from icu_common.nodes.conversions import header, point_message, result_of_message
+from icu_common.nodes.messages.heads import header
+from icu_common.nodes.messages.places import point_message
+from icu_common.nodes.messages.results import result_of_message
 
 
 class Operator:

@@ -17,11 +17,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from ros_rig import domain_of_worker
 from system.conftest import ROOT, RunningGraph, executable, wait_for
 from system.operator_browser import Operator
 
-from icu_common.core.panel_layout import load_layout
-from scope_bench.adapters.bags import BagReader
+from icu_common.core.panel.panel_layout import load_layout
+from scope_bench.adapters.bag.bags import BagReader
 
 SHOTS = ROOT / "artifacts" / "story"
 pytestmark = [pytest.mark.browser, pytest.mark.system, pytest.mark.alone, pytest.mark.story, pytest.mark.timeout(900)]
@@ -314,7 +315,7 @@ def points_at(page: Any, u: float, v: float) -> None:
 
 def replays(browser: Any, folder: Path, graph: RunningGraph, tmp_path: Path, taught: Path) -> None:
     # in a graph of its own, as somebody would look at it later
-    environment = graph.environment | {"ROS_DOMAIN_ID": str(50 + int(graph.environment["ROS_DOMAIN_ID"]))}
+    environment = graph.environment | {"ROS_DOMAIN_ID": str(domain_of_worker(100, 40))}
     with playing(environment, folder, tmp_path, []) as address:
         viewer = Operator(browser, address)
         viewer.sees_controls()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 import subprocess
 from pathlib import Path
 from typing import Any
@@ -13,15 +14,17 @@ import numpy as np
 import pytest
 import yaml
 from foreign_bags import TYPES, bag, text
+from golden.expectation import BAG as GOLDEN
 from golden.expectation import BAG_CHECK, ROOT
 from rosbags.rosbag1 import Writer
 from rosbags.typesys import Stores, get_typestore
 
+from scope_bench.adapters.bag.bags import BagReader
 from scope_bench.core.check.expectation import from_yaml
 
 IMAGE, INFO = "sensor_msgs/msg/Image", "sensor_msgs/msg/CameraInfo"
 STAMPS = [1_700_000_000_000_000_000 + n * 66_000_000 for n in range(6)]
-WIDTH, HEIGHT = 320, 240
+WIDTH, HEIGHT, DISPARITY_PX = 320, 240, 20
 ROS1 = get_typestore(Stores.ROS1_NOETIC)
 CALIBRATION = f"""image_width: {WIDTH}
 image_height: {HEIGHT}
@@ -92,6 +95,61 @@ def test_a_bag_with_other_names_and_without_camera_info(tmp_path: Path) -> None:
     suite = ElementTree.parse(tmp_path / "report" / "junit.xml").find("testsuite")
     assert suite is not None and suite.get("failures") == "1"
     assert (tmp_path / "report" / "stereo_left_corners.points.png").is_file()
+
+
+def stereo_bag(path: Path) -> Path:
+    """Return a bag with a textured plane at 0.9 m: a disparity of 20 px."""
+    noise = np.random.default_rng(5).integers(0, 256, (HEIGHT // 4, WIDTH // 4 + 5), np.uint8)
+    texture = np.kron(noise, np.ones((4, 4), np.uint8))
+    rows, kinds = [], {}
+    for side, shift in (("left", 0), ("right", DISPARITY_PX)):
+        kinds[f"/{side}/image"] = IMAGE
+        for number, stamp in enumerate(STAMPS[::2]):
+            message = image(stamp, number)
+            message.data = np.ascontiguousarray(texture[:, shift : shift + WIDTH]).ravel()
+            rows.append((f"/{side}/image", stamp, bytes(TYPES.serialize_cdr(message, IMAGE))))
+    return bag(path, ("humble", "sqlite3"), rows, kinds=kinds)
+
+
+def test_dense_stereo_takes_part(tmp_path: Path) -> None:
+    theirs = stereo_bag(tmp_path / "theirs")
+    for side, shift in (("left", "0.0"), ("right", "-18.0")):
+        text_ = CALIBRATION.replace("160.0, 0.0, 0.0, 300.0", f"160.0, {shift}, 0.0, 300.0")
+        (tmp_path / f"{side}.yaml").write_text(text_, encoding="utf-8")
+    images = ["--left", "/left/image", "--right", "/right/image"]
+    images += ["--camera-info", tmp_path / "left.yaml", tmp_path / "right.yaml"]
+    topics = ["/stereo/dense_points", "/stereo/disparity"]
+    check(tmp_path, theirs, "--make", "--nodes", "dense_stereo", *images, "--topics", *topics)
+    made = from_yaml((tmp_path / "theirs.expect.yaml").read_text(encoding="utf-8"))
+    assert {topic: value.messages for topic, value in made.topics.items()} == dict.fromkeys(topics, 3)
+    with BagReader(tmp_path / "theirs.expect_messages") as found:
+        kind = "stereo_msgs/msg/DisparityImage"
+        disparity = next(found.decode(data, kind).image for _, _, data in found.messages([topics[1]]))
+    values = np.frombuffer(disparity.data.tobytes(), np.float32)
+    assert np.nanmedian(np.where(values > 0, values, np.nan)) == pytest.approx(DISPARITY_PX / 2, abs=0.2), "binning 2"
+    check(tmp_path, theirs)
+
+
+def test_recognition_and_readouts_take_part(tmp_path: Path) -> None:
+    """The beginning of the golden bag: the panel's lamps and the positions of its knobs."""
+    theirs = shutil.copytree(GOLDEN, tmp_path / "theirs")
+    nodes = ["corners_left", "corners_right", "stereo", "recognition"]
+    part = ["--exclude", "/bag/cue", "--duration", "2"]
+    check(tmp_path, theirs, "--make", "--nodes", *nodes, "--topics", "/panel/state", *part)
+    made = from_yaml((tmp_path / "theirs.expect.yaml").read_text(encoding="utf-8"))
+    fields = made.topics["/panel/state"].fields
+    assert fields["status[*].values.angle_deg"].limits == {"absolute": 0.05}
+    with BagReader(tmp_path / "theirs.expect_messages") as found:
+        kind = "diagnostic_msgs/msg/DiagnosticArray"
+        states = [found.decode(data, kind).status for _, _, data in found.messages(["/panel/state"])]
+    assert len(states) == made.topics["/panel/state"].messages > 1
+    for state in states:
+        values = {control.name: {pair.key: pair.value for pair in control.values} for control in state}
+        assert values["RUN_STOP"]["lamp"] == "green" and abs(float(values["CH1_SCALE"]["angle_deg"])) < 3.0
+    check(tmp_path, theirs)
+    rows = json.loads((tmp_path / "report" / "fields.json").read_text(encoding="utf-8"))
+    compared = [row["field"].partition(".values.")[2] for row in rows if row["compared"] == len(states)]
+    assert compared.count("lamp") == 3 and compared.count("angle_deg") == 7, rows
 
 
 def test_a_ros_1_bag_is_converted(tmp_path: Path) -> None:

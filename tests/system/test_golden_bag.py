@@ -18,7 +18,7 @@ import pytest
 from golden.expectation import BAG, BAG_CHECK, EXPECTED, ROOT, bag_check
 from golden.make_bag import CONTROLLER, TIPS, TRACKER
 
-from scope_bench.adapters.bags import BagReader
+from scope_bench.adapters.bag.bags import BagReader
 from scope_bench.adapters.check.messages import read_messages
 from scope_bench.adapters.check.prepared_bag import played_topics
 from scope_bench.adapters.check.replay import Replay, free_domain
@@ -50,7 +50,7 @@ def replayed(folder: Path, *, rate: float = 1000.0, duration_s: float = 0.0) -> 
         topics = replay.wait_until_started(stop)
         # A part is no calibration.
         played = played_topics(BAG, {*topics.read, *([] if duration_s else ["/bag/cue"])}, topics.published, ())
-        out = replay.play(BAG, played, list(EXPECTATION.topics), stop, rate=rate)
+        out = replay.play(BAG, played, list(EXPECTATION.topics), stop, rate=rate).results
     finally:
         assert replay.stop() == 0, replay.tail()
     return read_messages(out)

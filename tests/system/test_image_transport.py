@@ -15,6 +15,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from ros_rig import domain_of_worker
 
 ROOT = Path(__file__).resolve().parents[2]
 COUNT = 300
@@ -49,7 +50,7 @@ def lost(rows: list[dict[str, Any]]) -> int:
 @pytest.mark.alone
 def test_none_of_300_pictures_is_lost(tmp_path: Path, two_cores: None) -> None:
     write_pictures(tmp_path)
-    environment = dict(os.environ, ROS_DOMAIN_ID=str(101 + os.getpid() % 100), ROS_LOG_DIR=str(tmp_path / "log"))
+    environment = dict(os.environ, ROS_DOMAIN_ID=str(domain_of_worker(101, 100)), ROS_LOG_DIR=str(tmp_path / "log"))
     reader = str(Path(__file__).with_name("picture_reader.py"))
     readers = [
         subprocess.Popen(

@@ -14,12 +14,13 @@ from collections.abc import Iterator
 from typing import Any
 
 import pytest
+from ros_rig import domain_of_worker
 from std_msgs.msg import String
 from system.conftest import RunningGraph
 from system.damaging_proxy import DamagingProxy
 from system.terminal_operator import Operator
 
-from icu_common.core.results import GoalResult, Outcome
+from icu_common.core.goals.results import GoalResult, Outcome
 
 MINUTES = float(os.environ.get("NOISE_MINUTES", "1"))
 BYTES_APART = 500
@@ -37,7 +38,7 @@ pytestmark = [pytest.mark.system, pytest.mark.alone, pytest.mark.timeout(600 + 6
 @pytest.fixture(scope="module")
 def noisy_graph(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[RunningGraph, DamagingProxy]]:
     folder = tmp_path_factory.mktemp("noise")
-    link, domain = folder / "noisy", 150 + os.getpid() % 40
+    link, domain = folder / "noisy", domain_of_worker(150, 40)
     graph = RunningGraph(folder, domain, "--real-time", "--set", f"serial_driver.port={link}")
     try:
         with DamagingProxy(graph.run_dir / "grbl", link, BYTES_APART, SEED) as proxy:

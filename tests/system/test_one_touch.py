@@ -14,10 +14,11 @@ from std_msgs.msg import String
 from system.operator_browser import Operator as PageOperator
 from system.terminal_operator import Operator
 
-from icu_common.core.panel_layout import load_layout
-from icu_common.core.results import Outcome
+from icu_common.core.goals.results import Outcome
+from icu_common.core.panel.panel_layout import load_layout
 from icu_common.nodes import qos
-from icu_common.nodes.conversions import camera_model, image_array, transform_of_pose
+from icu_common.nodes.messages.cameras import camera_model, image_array
+from icu_common.nodes.messages.places import transform_of_pose
 
 ROOT = Path(__file__).resolve().parents[2]
 LAYOUT = load_layout(ROOT / "config" / "scopes" / "dso_bench_4.yaml")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import os
 import signal
 import subprocess
 import time
@@ -11,6 +10,7 @@ from collections.abc import Iterator
 from typing import Any
 
 import pytest
+from ros_rig import domain_of_worker
 from system.machine_rig import MachineRig
 from system.operator_browser import Operator
 
@@ -74,7 +74,7 @@ class Room:
 
 @pytest.fixture(scope="module")
 def prepared(browser: Any, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Room]:
-    rig = MachineRig(tmp_path_factory.mktemp("machine"), domain=90 + os.getpid() % 10)
+    rig = MachineRig(tmp_path_factory.mktemp("machine"), domain=domain_of_worker(90, 10))
     try:
         yield Room(rig, browser)
     finally:

@@ -18,7 +18,7 @@ from system.synthetic_scope import LAYOUT, camera, panel_pose
 from system.test_operator_desk import axe, instrument, operator
 from system.test_operator_page import Instrument
 
-from icu_common.core.panel_layout import load_layout
+from icu_common.core.panel.panel_layout import load_layout
 
 __all__ = ["instrument", "operator"]  # fixtures
 pytestmark = [pytest.mark.browser, pytest.mark.system, pytest.mark.timeout(300)]

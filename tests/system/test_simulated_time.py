@@ -14,9 +14,9 @@ from sensor_msgs.msg import CameraInfo
 from std_msgs.msg import Float32, String
 from system.terminal_operator import Operator
 
-from icu_common.core.results import Outcome
+from icu_common.core.goals.results import Outcome
 from icu_common.nodes import qos
-from icu_common.nodes.conversions import stamp_ns
+from icu_common.nodes.messages.heads import stamp_ns
 
 pytestmark = [pytest.mark.system, pytest.mark.alone, pytest.mark.timeout(300)]
 BUSY_PROGRAMS = 16

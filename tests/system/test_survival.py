@@ -27,7 +27,7 @@ from std_msgs.msg import String
 from std_srvs.srv import SetBool
 from system.terminal_operator import Operator
 
-from icu_common.core.results import Outcome
+from icu_common.core.goals.results import Outcome
 from icu_common.nodes import qos
 
 pytestmark = [pytest.mark.system, pytest.mark.alone, pytest.mark.timeout(300)]
@@ -56,10 +56,10 @@ TABLE = (
             for name in ("stereo", "dense_stereo", "/stereo/right/corners_right", "/calibration/hand_eye")
             + ("/gantry/sequencer", "gantry controller")
         ),
-        # The new controller notices the stylus left on the panel, unless the driver misses a heartbeat first.
+        # The driver stops and lifts without the controller's sign, or without a heartbeat.
         said_after=(
             ("driver", "stopped"),
-            ("controller", "started with the stylus extended|stopped: operator's heartbeat"),
+            ("controller", "stopped: (gantry_controller has sent no sign|operator's heartbeat)"),
         ),
     ),
     Row(
@@ -236,7 +236,7 @@ class Scene:
         self.until(lambda: "bench" in row.killed or self.stylus_is_up(), 5.0, "the stylus is up")
 
         def restarted() -> bool:
-            events = [f"{name} ! ended with signal SIGKILL, restarted in" for name in row.killed]
+            events = [f"{name} ! ended with signal SIGKILL, restarted " for name in row.killed]
             return all(event in self.graph.output[log:] for event in events)
 
         self.until(restarted, 10.0, f"bring-up has restarted {row.killed}")

@@ -14,11 +14,12 @@ from std_msgs.msg import Header, String
 from system.terminal_operator import Operator
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from icu_common.core.frames import JOINTS
-from icu_common.core.geometry import Transform
-from icu_common.core.results import Outcome
+from icu_common.core.geometry.frames import JOINTS
+from icu_common.core.geometry.geometry import Transform
+from icu_common.core.goals.results import Outcome
 from icu_common.nodes import qos
-from icu_common.nodes.conversions import header, pose_message, transform_of_pose
+from icu_common.nodes.messages.heads import header
+from icu_common.nodes.messages.places import pose_message, transform_of_pose
 
 pytestmark = [pytest.mark.system, pytest.mark.alone, pytest.mark.timeout(600)]
 

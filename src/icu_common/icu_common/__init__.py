@@ -1,5 +1,5 @@
-"""What the packages of the gantry robot share; the only package that the others import.
+"""Shared code of the gantry robot's packages; the only package that the others import.
 
 ``core`` is pure (configuration, geometry, cameras, panel layouts, results), ``adapters`` touch sockets and files,
-``nodes`` hold what needs rclpy (parameters, QoS, message conversions, the way a process starts and ends).
+``nodes`` contains all code that needs rclpy (parameters, QoS, message conversions, process start and end).
 """

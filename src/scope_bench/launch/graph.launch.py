@@ -11,13 +11,13 @@ from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 from launch_ros.substitutions import ExecutableInPackage
 
-from icu_common.adapters.step_ledger import LEDGER_VARIABLE
+from icu_common.adapters.steps.step_ledger import LEDGER_VARIABLE
 from launch import LaunchContext, LaunchDescription
 from scope_bench.adapters.configuration_folder import true_configuration
 from scope_bench.adapters.graph_ledger import is_used, new_ledger, path_of_graph
 from scope_bench.adapters.graph_names import hold_names
 from scope_bench.cli.bring_up import state_folder
-from scope_bench.core.graph_description import check_namespace, load_graph, simulators
+from scope_bench.core.startup.graph_description import check_namespace, load_graph, simulators
 
 
 def steps_of(values: dict[str, str]) -> dict[str, str]:
@@ -40,7 +40,7 @@ def steps_of(values: dict[str, str]) -> dict[str, str]:
 def start(context: LaunchContext) -> list:
     values = {
         name: LaunchConfiguration(name).perform(context)
-        for name in ("profile", "config", "state", "namespace", "scope", "package", "run", "real_time")
+        for name in ("profile", "config", "state", "namespace", "scope", "room", "package", "run", "real_time")
     }
     check_namespace(values["namespace"])
     given = Path(values["state"]).expanduser() if values["state"] else None
@@ -57,6 +57,7 @@ def start(context: LaunchContext) -> list:
         state=state,
         robot_namespace=values["namespace"],
         scope=values["scope"],
+        room=values["room"],
         simulated_time=bool(environment),
     )
     actions = []
@@ -95,6 +96,7 @@ def generate_launch_description() -> LaunchDescription:
             ),
             DeclareLaunchArgument("namespace", default_value="", description="the robot's namespace"),
             DeclareLaunchArgument("scope", default_value="", description="model in config/scopes"),
+            DeclareLaunchArgument("room", default_value="", description="room of the simulated bench in config/rooms"),
             DeclareLaunchArgument("package", default_value="", description="only this package's part of the graph"),
             DeclareLaunchArgument(
                 "run", default_value="", description="folder for sockets, shared by several launches"

@@ -1,1 +1,1 @@
-"""Operator page: live picture, clicks, stop; served by aiohttp from a bridge to the graph."""
+"""Operator page with live image, clicks and stop, served by aiohttp from a bridge to the graph."""

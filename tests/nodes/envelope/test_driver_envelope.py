@@ -9,12 +9,12 @@ from typing import Any
 import pytest
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from nodes.grbl_board import GrblBoard
-from nodes.test_gantry_driver_node import HOMED, PATIENCE, Operator
+from nodes.test_gantry_driver_node import HOMED, IN_PROCESS, PATIENCE, Operator
 
 from gantry_driver.core.envelope.plane import PanelPlane
 from gantry_driver.nodes.panel_plane import plane_message, plane_of_message
 from gantry_driver.nodes.serial_driver_node import SerialDriverNode
-from icu_common.core.results import GoalResult
+from icu_common.core.goals.results import GoalResult
 from icu_common.nodes.qos import LATCHED
 
 FACE_M = 0.035
@@ -26,8 +26,8 @@ class Panel:
     """Who moves the machine, under the controller's name unless another is given, and how deep the stylus has been."""
 
     def __init__(self, ros: Any, folder: Path, name: str, **parameters: Any) -> None:
-        self.ros, self.board = ros, GrblBoard(folder, time_scale=2.0)
-        ros.node(SerialDriverNode, {"port": str(self.board.port), **PATIENCE, **parameters})
+        self.ros, self.board = ros, GrblBoard(folder)
+        ros.node(SerialDriverNode, {"port": str(self.board.port), **PATIENCE, **IN_PROCESS, **parameters})
         self.op = Operator(ros, self.board, name)
         self.plane = self.op.node.create_publisher(PoseWithCovarianceStamped, "panel/plane", LATCHED)
         self.deepest_mm = 0.0

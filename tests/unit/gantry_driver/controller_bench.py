@@ -9,14 +9,14 @@ from dataclasses import replace
 import numpy as np
 from pinhole import pinhole
 
-from gantry_driver.core import controller_messages as msg
-from gantry_driver.core.controller import Controller
-from gantry_driver.core.controller_config import ControllerConfig
-from gantry_driver.core.goal_job import Phase
-from gantry_driver.core.scene import PanelControl, PanelMap
-from icu_common.core.geometry import Array, Transform
-from icu_common.core.panel_state import ControlSeen, PanelSeen
-from icu_common.core.results import GoalResult, Outcome
+from gantry_driver.core.goals import controller_messages as msg
+from gantry_driver.core.goals.controller import Controller
+from gantry_driver.core.goals.controller_config import ControllerConfig
+from gantry_driver.core.goals.goal_job import Phase
+from gantry_driver.core.motion.scene import PanelControl, PanelMap
+from icu_common.core.geometry.geometry import Array, Transform
+from icu_common.core.goals.results import GoalResult, Outcome
+from icu_common.core.panel.panel_state import ControlSeen, PanelSeen
 
 MS = 1_000_000
 START_NS = 1_700_000_000_000 * MS
@@ -71,6 +71,8 @@ PANEL = PanelMap(
 
 KNOB, BUTTON = np.array([0.211, 0.092, 0.015]), np.array([0.208, 0.127, 0.003])
 """The centres of the tops of CH1_SCALE and RUN_STOP in panel_link."""
+BALL_M, ROUNDING_M = 0.002, 1e-6
+"""Radius of the stylus ball; it touches a surface from which its centre is as far, apart from rounding."""
 
 
 class Bench:
@@ -88,6 +90,8 @@ class Bench:
         self.tip_offset = np.zeros(3)
         self.backlash = np.zeros(2)
         self.noise_m = np.zeros(3)
+        self.stroke_m = 0.0015
+        self.sunk_m = 0.0  # how much lower the whole panel is than the cameras see it
         self.carriage = np.zeros(2)
         self.readings = np.zeros(3)
         self.confidence = 0.9
@@ -190,8 +194,13 @@ class Bench:
         return sum(isinstance(a, msg.CallStop) for a in self.actions)
 
     def tip_in_base(self) -> Array:
-        """The ball's true centre."""
-        return np.array([*(self.true_axes @ self.carriage), -self.readings[2]]) + self.tip_offset
+        """The ball's true centre: a surface stops it, a button only at the end of its stroke."""
+        tip = np.array([*(self.true_axes @ self.carriage), -self.readings[2]]) + self.tip_offset
+        x, y, z = BASE_FROM_PANEL.inverse().apply(tip)
+        under = [c for c in PANEL.controls if c.gap(np.array([x, y])) == 0]
+        tops = [c.height - (self.stroke_m if c.kind == "button" else 0.0) for c in under]
+        lowest = max([0.0, *tops]) + BALL_M - self.sunk_m
+        return BASE_FROM_PANEL.apply(np.array([x, y, max(z, lowest)]))
 
     def tip_seen_in_base(self) -> Array:
         """Where the cameras take the ball's centre to be."""
@@ -282,7 +291,8 @@ class Bench:
         # Play: the carriage stays behind by up to the backlash, in either direction.
         self.carriage = np.clip(self.carriage, readings[:2] - self.backlash, readings[:2])
         after = BASE_FROM_PANEL.inverse().apply(self.tip_in_base()) - KNOB
-        if max(before[2], after[2]) < 0.002 and max(np.linalg.norm(before[:2]), np.linalg.norm(after[:2])) < 0.009:
+        touches = max(before[2], after[2]) < BALL_M + ROUNDING_M
+        if touches and max(np.linalg.norm(before[:2]), np.linalg.norm(after[:2])) < 0.009:
             turned = np.degrees(np.arctan2(after[1], after[0]) - np.arctan2(before[1], before[0]))
             self.knob_deg += (1 - self.knob_slips) * ((turned + 180) % 360 - 180)
             self.knob_deg = (self.knob_deg + 180) % 360 - 180

@@ -10,9 +10,9 @@ from collections.abc import Callable, Sequence
 from campaign.faults import CONFIG, HOMED
 from campaign.virtual_link import VirtualRig
 
-from gantry_driver.core.machine_config import DriverConfig
-from gantry_driver.core.machine_states import Position
-from icu_common.core.results import GoalResult
+from gantry_driver.core.machine.machine_config import DriverConfig
+from gantry_driver.core.machine.machine_states import Position
+from icu_common.core.goals.results import GoalResult
 
 Place = tuple[float, float, float]
 TRACE_S = 0.005

@@ -8,9 +8,9 @@ import pytest
 from graph_texts import german_phrases
 from unit.gantry_driver.protocol_board import Board, Rig
 
-from gantry_driver.core.board_faults.resets import RESETS_APART_S
-from gantry_driver.core.grbl_messages import Dialect, alarm_text, error_text
-from gantry_driver.core.machine_states import Note
+from gantry_driver.core.board_faults.resets import RESETS_APART_S, ResetLog
+from gantry_driver.core.grbl.grbl_messages import Dialect, alarm_text, error_text
+from gantry_driver.core.machine.machine_states import Note, StateChanged
 
 ERRORS = (*range(1, 18), *range(20, 39))
 """All of GRBL 1.1's; doc/csv/error_codes_en_US.csv of gnea/grbl."""
@@ -25,27 +25,37 @@ def test_every_code_of_grbl_has_a_text_in_both_languages(text: str) -> None:
     assert meaning.removesuffix(")") in german_phrases()
 
 
+RESET = "the board was reset by itself, its position is lost"
+
+
 def logged(rig: Rig) -> list[str]:
     return [event.text for event in rig.events if isinstance(event, Note)]
 
 
 @pytest.mark.parametrize("apart_s", [0.02, 0.3, 2.0])
-def test_a_board_that_starts_again_and_again_gets_one_line_with_a_count(apart_s: float) -> None:
+def test_a_board_that_starts_again_and_again_gets_one_line_and_each_state_one(apart_s: float) -> None:
     rig = Rig().homed()
-    begun = rig.now
+    before, resets = len(rig.events), rig.machine.counts.resets
     for _ in range(20):
         rig.board.power_cycle()
         rig.run_for(apart_s)
     rig.run_for(RESETS_APART_S + 1.0)
-    first, *others = logged(rig)
-    assert first == "the board was reset by itself, its position is lost; 0 lines unanswered"
-    assert len(others) == 1, others
-    match = re.fullmatch(
-        r"the board was reset by itself (\d+) more times within ([\d.]+) s; 0 lines unanswered", others[0]
-    )
-    assert match and float(match[2]) <= rig.now - begun
-    # Where it starts again before the driver has asked who it is, those are one reset for the driver.
-    assert int(match[1]) == 19 if apart_s >= 0.3 else 1 <= int(match[1]) <= 19
+    assert logged(rig) == [f"{RESET}; 0 lines unanswered"]
+    states = [event for event in rig.events[before:] if isinstance(event, StateChanged)]
+    assert [event.text for event in states if event.logged] == [f"connecting: {RESET}", f"unhomed: {RESET}"]
+    assert len(states) > 10, "they are published all the same"
+    assert rig.machine.counts.resets >= resets + 20, "the diagnostics have the count"
+
+
+def test_lines_lost_with_a_later_reset_of_a_row_are_logged_at_its_end() -> None:
+    log = ResetLog()
+    assert [note.text for note in log.reset(RESET, 2, 10.0)] == [f"{RESET}; 2 lines unanswered"]
+    assert log.reset(RESET, 0, 11.0) == log.reset(RESET, 3, 12.5) == log.tick(12.5 + RESETS_APART_S - 0.1) == []
+    assert [note.text for note in log.tick(12.5 + RESETS_APART_S)] == [
+        "the board was reset by itself 2 more times within 2.5 s; 3 lines unanswered"
+    ]
+    assert log.tick(30.0) == [] and log.reset(RESET, 0, 31.0)
+    assert not log.repeats("unhomed"), "a new row"
 
 
 def test_two_resets_far_apart_get_a_line_each() -> None:

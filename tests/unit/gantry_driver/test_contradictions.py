@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from gantry_driver.core.grbl_messages import Report
+from gantry_driver.core.grbl.grbl_messages import Report
 from gantry_driver.core.wire.buffers import BoardBuffers
 from gantry_driver.core.wire.contradictions import LOST_LINE, Contradictions
 from gantry_driver.core.wire.lines import Line

@@ -18,13 +18,13 @@ from unit.gantry_driver.controller_bench import (
     config,
 )
 
-from gantry_driver.core import controller_messages as msg
-from gantry_driver.core.controller import Controller
-from gantry_driver.core.controller_config import ControllerConfig
-from gantry_driver.core.goal_job import LOOKING, MOVING, Phase, Step
-from icu_common.core.config import ConfigError, from_mapping
-from icu_common.core.geometry import Transform
-from icu_common.core.results import GoalResult, Outcome
+from gantry_driver.core.goals import controller_messages as msg
+from gantry_driver.core.goals.controller import Controller
+from gantry_driver.core.goals.controller_config import ControllerConfig
+from gantry_driver.core.goals.goal_job import LOOKING, MOVING, Phase, Step
+from icu_common.core.configuration.config import ConfigError, from_mapping
+from icu_common.core.geometry.geometry import Transform
+from icu_common.core.goals.results import Felt, GoalResult, Outcome
 
 RUN_STOP = BASE_FROM_PANEL.apply([0.208, 0.127, 0.003])
 PRESS_PHASES = [Phase.APPROACH, Phase.LOOK, Phase.TOUCH, Phase.CONTACT, Phase.LIFT]
@@ -77,7 +77,7 @@ def test_press_takes_exactly_these_trajectories() -> None:
     result = bench.do("press:RUN_STOP id=a1")
     assert [(r.goal_id, r.outcome) for r in bench.results] == [("a1", Outcome.ACCEPTED), ("a1", Outcome.REACHED)]
     x, y, z = RUN_STOP
-    hover, touch = -(z + 0.002 + 0.008), -(z + 0.002 - 0.001)
+    hover, touch = -(z + 0.002 + 0.008), -(z + 0.002 - 0.0023)
     approach, down, up = bench.paths
     np.testing.assert_allclose(approach, [[x - 0.001, y - 0.001, 0.0], [x, y, 0.0], [x, y, hover]], atol=1e-9)
     np.testing.assert_allclose(down, [[x, y, touch - 0.003], [x, y, touch]], atol=1e-9)
@@ -85,10 +85,10 @@ def test_press_takes_exactly_these_trajectories() -> None:
     assert [s for s in bench.states if not s.startswith("waiting")] == [
         "ready", "moving", "looking", "touching", "moving", "ready",
     ]  # fmt: skip
-    assert result.error_m < 1e-9
+    assert result.error_m < 1e-5  # the surface that stops the ball leans
     details = dict(result.details)
     assert details["control"] == "RUN_STOP" and details["measured_by"] == "cameras" and details["corrections"] == "0"
-    # Speeds: quickly to 2 mm above the surface, then 10 mm/s to 1 mm below it.
+    # Speeds: quickly to 0.7 mm above the key's top, then 10 mm/s to 2.3 mm below it.
     plunge = [a.path for a in bench.actions if isinstance(a, msg.SendTrajectory)][1]
     np.testing.assert_allclose(np.diff(plunge.times_s), [0.3])
     assert plunge.times_s[0] == pytest.approx((touch - 0.003 - hover) / 0.05)
@@ -109,7 +109,7 @@ def test_points_on_panel_and_picture_are_pressed(goal: tuple[str, float, float])
     assert result.outcome is Outcome.REACHED and result.goal_id == str(stamp)
     assert dict(result.details)["control"] == "RUN_STOP"
     np.testing.assert_allclose(bench.paths[1][-1][:2], RUN_STOP[:2], atol=1e-7)
-    np.testing.assert_allclose(bench.paths[1][-1][2], -RUN_STOP[2] - 0.001, atol=1e-7)
+    np.testing.assert_allclose(bench.paths[1][-1][2], -RUN_STOP[2] + 0.0003, atol=1e-7)
 
 
 def test_hold_stays_down_for_its_time() -> None:
@@ -495,7 +495,7 @@ def test_hidden_contact(command: str, silent: str) -> None:
     bench.on_phase[Phase.CONTACT] = lambda b: (down.append(b.now_ns), b.talking.discard(silent))
     result = bench.do(command)
     stalled = silent == "camera" and not command.startswith("press")
-    words = "the camera has stalled" if stalled else "touched, but not measured: the tip was seen 0 times, 2 times"
+    words = "the camera has stalled" if stalled else "touched, but not measured: the tip was seen 0 times, 3 times"
     sent = len(bench.paths)
     aborted(bench, result, words, "the stylus is up")
     stylus_is_up(bench)
@@ -531,8 +531,8 @@ def test_a_press_is_short_and_its_late_pictures_count() -> None:
     bench.on_phase[Phase.CONTACT], bench.on_phase[Phase.MEASURE] = late, arrive
     result = bench.do("press:RUN_STOP")
     assert result.outcome is Outcome.REACHED
-    # Two are needed; the stylus is already up when they come.
-    assert result.error_m == pytest.approx(0.00015, abs=1e-9)
+    # Three are needed; the stylus is already up when they come.
+    assert result.error_m == pytest.approx(0.0002, abs=1e-9)
     assert 0.6 <= (times[1] - times[0]) / 1e9 <= 0.65
 
 
@@ -540,9 +540,11 @@ def test_hidden_tip_is_allowed_when_servoing_is_not_required() -> None:
     bench = Bench(config(require_servo=False)).start()
     bench.talking -= {"tip"}
     result = bench.do("press:RUN_STOP")
-    assert result.outcome is Outcome.REACHED and math.isnan(result.error_m)
+    # It is touched, but what nobody has seen is not reached.
+    assert result.outcome is Outcome.ABORTED and math.isnan(result.error_m)
+    assert result.touch is Felt.UNKNOWN and result.code == "contact_unknown"
     assert dict(result.details)["measured_by"] == "nothing"
-    np.testing.assert_allclose(bench.paths[1][-1], [*RUN_STOP[:2], -RUN_STOP[2] - 0.001], atol=1e-9)
+    np.testing.assert_allclose(bench.paths[1][-1], [*RUN_STOP[:2], -RUN_STOP[2] + 0.0003], atol=1e-9)
 
 
 def test_jumping_tip_is_not_averaged() -> None:
@@ -789,7 +791,7 @@ def test_a_touch_beside_the_target_is_not_called_reached() -> None:
     bench.on_phase[Phase.CONTACT] = bend
     result = bench.do("press:RUN_STOP")
     aborted(bench, result, "touched 0.70 mm beside the target, 0.5 mm are allowed", "the stylus is up")
-    assert result.error_m == pytest.approx(0.0007, abs=1e-6)
+    assert result.error_m == pytest.approx(0.0007, abs=1e-5)  # the surface that stops the ball leans
 
 
 @pytest.mark.parametrize("command", ["press:RUN_STOP", "double:RUN_STOP", "turn:CH1_SCALE:30"])

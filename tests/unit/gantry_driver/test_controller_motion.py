@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gantry_driver.core.motion_plan import (
+from gantry_driver.core.motion.motion_plan import (
     MotionConfig,
     OutOfReach,
     aside,

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from unit.gantry_driver.controller_bench import MS, Bench, config
 
-from gantry_driver.core import controller_messages as msg
-from gantry_driver.core.goal_job import Phase
-from gantry_driver.core.patience import HoldUp, goal_limit_s, next_limit_s, patient_limit_s
-from icu_common.core.delays import Delay, ResultCode, delay_of
-from icu_common.core.results import GoalResult, Outcome
+from gantry_driver.core.goals import controller_messages as msg
+from gantry_driver.core.goals.goal_job import Phase
+from gantry_driver.core.goals.patience import HoldUp, goal_limit_s, next_limit_s, patient_limit_s
+from icu_common.core.goals.results import GoalResult, Outcome
+from icu_common.core.processes.delays import Delay, ResultCode, delay_of
 
 SECOND = 1000 * MS
 

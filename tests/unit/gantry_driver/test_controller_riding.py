@@ -8,10 +8,10 @@ import pytest
 from unit.gantry_driver.controller_bench import BASE_FROM_PANEL, BUTTON, KNOB, Bench, RidingBench
 from unit.gantry_driver.test_controller_gestures import BUTTON_Z, details
 
-from gantry_driver.core import controller_messages as msg
-from gantry_driver.core.goal_job import Phase
-from icu_common.core.geometry import Transform
-from icu_common.core.results import Outcome
+from gantry_driver.core.goals import controller_messages as msg
+from gantry_driver.core.goals.goal_job import Phase
+from icu_common.core.geometry.geometry import Transform
+from icu_common.core.goals.results import Outcome
 
 
 @pytest.mark.parametrize(("lamp", "effect"), [("red", "lamp green -> red"), ("green", "none seen")])

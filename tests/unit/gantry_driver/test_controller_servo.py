@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from unit.gantry_driver.controller_bench import BASE_FROM_PANEL, BUTTON, PANEL, Bench, RidingBench, config
 
-from gantry_driver.core import controller_messages as msg
-from gantry_driver.core.controller import Controller
-from gantry_driver.core.goal_job import Phase
-from gantry_driver.core.scene import PanelControl
-from icu_common.core.geometry import Array, Transform
-from icu_common.core.results import Outcome
+from gantry_driver.core.goals import controller_messages as msg
+from gantry_driver.core.goals.controller import Controller
+from gantry_driver.core.goals.goal_job import Phase
+from gantry_driver.core.motion.scene import PanelControl
+from icu_common.core.geometry.geometry import Array, Transform
+from icu_common.core.goals.results import Felt, Outcome
 
 SEEDS = range(20)
 
@@ -47,7 +47,9 @@ def test_true_error_at_contact(seed: int, kind: type[Bench]) -> None:
         assert true_error < 0.00025, (name, true_error)
         assert result.error_m < 0.00025
         assert abs(result.error_m - true_error) < 0.0001
-        assert contact[2] == pytest.approx(surface[2] + 0.001, abs=2e-5)
+        sunk = bench.stroke_m if control.kind == "button" else 0.0
+        assert contact[2] == pytest.approx(surface[2] + 0.002 - sunk, abs=2e-5), "pressed to the end"
+        assert result.touch is Felt.TOUCHED, "nothing shows an effect here"
         assert int(dict(result.details)["corrections"]) <= 2
 
 
@@ -92,10 +94,12 @@ def away(bench: Bench, tip: Array) -> float:
 @pytest.mark.parametrize("gesture", ["press", "long", "double"])
 def test_a_lit_control_that_hides_the_tip_is_touched_by_a_look_from_beside_it(kind: type[Bench], gesture: str) -> None:
     bench = dazzling_bench(kind, 0.015)
+    bench.on_phase[Phase.LIFT] = acts
     result = bench.do(f"{gesture}:RUN_STOP")
     assert result.outcome is Outcome.REACHED, result
+    assert result.touch is Felt.PRESSED, "its own lamp replaces the contact that cannot be measured"
     contact = min(bench.lowest, key=lambda p: p[2])
-    assert contact[2] == pytest.approx(BASE_FROM_PANEL.apply(BUTTON)[2] + 0.001, abs=2e-5)
+    assert contact[2] == pytest.approx(BASE_FROM_PANEL.apply(BUTTON)[2] + 0.002 - bench.stroke_m, abs=2e-5)
     # What scale and skew of the machine change within 20 mm, up to 0.14 mm, comes on top.
     assert away(bench, contact) < 0.0004
     details = dict(result.details)
@@ -105,6 +109,17 @@ def test_a_lit_control_that_hides_the_tip_is_touched_by_a_look_from_beside_it(ki
     beside = [p for p in bench.lowest if away(bench, p) > 0.015]
     hover = bench.paths[0][-1][2]
     assert min(p[2] for p in beside) == pytest.approx(-hover, abs=1e-9), "beside it the stylus stays as high as above"
+
+
+def acts(bench: Bench) -> None:
+    """RUN_STOP has acted."""
+    bench.lamp = "red"
+
+
+def test_a_touch_that_is_neither_seen_nor_has_an_effect_is_not_reached() -> None:
+    result = dazzling_bench(Bench, 0.015).do("press:RUN_STOP")
+    assert result.outcome is Outcome.ABORTED and result.touch is Felt.UNKNOWN
+    assert result.code == "contact_unknown" and "the ball was not measured in contact" in result.reason
 
 
 def test_the_tip_that_is_seen_in_contact_counts_although_it_was_hidden_before() -> None:
@@ -153,6 +168,7 @@ def test_it_is_looked_from_beside_where_nothing_stands_in_the_way() -> None:
         name="TALL", kind="knob", centre=np.array([0.188, 0.127]), size=np.full(2, 0.012), height=0.02, round=True
     )
     bench.tell(msg.PanelControls(panel=dataclasses.replace(PANEL, controls=(*PANEL.controls, knob))))
+    bench.on_phase[Phase.LIFT] = acts
     assert bench.do("press:RUN_STOP").outcome is Outcome.REACHED
     top = BASE_FROM_PANEL.apply([*knob.centre, knob.height])
     near = [p[2] for p in bench.lowest if np.linalg.norm((p - top)[:2]) < 0.006 + 0.0025]

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 import random
+import re
 from itertools import pairwise
 
 import pytest
 from campaign.faults import CONFIG, HOMED, SERVO
 from unit.gantry_driver.damaged_wire import DamagedRig, damage_at, machine_mm, off_path_mm
 
-from icu_common.core.results import Outcome
+from icu_common.core.goals.results import Outcome
 
 HOVER, DEEP = 0.003, 0.011
 TRAVEL = [(0.1, 0.05, 0.0), (0.1, 0.05, HOVER)]
@@ -85,11 +86,11 @@ def test_a_crossing_that_leaves_its_path_is_held_lifted_and_homed_again() -> Non
 
 
 def test_an_approach_that_goes_on_stops_above_the_panel() -> None:
-    """A slanting path of another program: its last nine millimetres wait for a report of what is above them."""
+    """A slanting path of another program: its last 10.5 mm wait for a report of what is above them."""
     rig = DamagedRig()
     rig.home()
     deep = 0.04
-    rig.once(b"Z9G1\n", b"Z0G1\n")
+    rig.once(b"Z10.5G1\n", b"Z00.5G1\n")
     answer = rig.finish([(0.1, 0.05, 0.0), (0.14, 0.05, deep)])
     assert answer.code == "left_path"
     assert rig.deepest_mm() < 1000.0 * deep - 0.3
@@ -154,7 +155,7 @@ def test_a_request_for_a_report_that_raises_the_feed_is_set_back_while_the_next_
     rig.home()
     rig.go([(0.3, 0.05, 0.0)], "long")
     rig.run_for(1.0)
-    since, raised = rig.now, []
+    since, raised = rig.now, list[float]()
 
     def damage(data: bytes) -> bytes:
         if not raised and b"?" in data:
@@ -204,6 +205,35 @@ def test_a_feed_of_a_millimetre_a_minute_ends_after_twice_the_time() -> None:
     answer = rig.finish(PRESS)
     assert answer.code == "overdue" and answer.duration_s < 12.0, answer
     assert "twice the expected time" in answer.reason
+
+
+@pytest.mark.parametrize("received", [b"F1(00", b"F1x00"])
+@pytest.mark.parametrize("sent", [b"F1800", b"F9000"])
+def test_a_feed_that_becomes_a_comment_or_a_coordinate_does_not_creep(sent: bytes, received: bytes) -> None:
+    rig = DamagedRig()
+    rig.home()
+    rig.once(sent, received)
+    answer = rig.finish(PRESS)
+    assert rig.to_board is None, "it was sent"
+    assert answer.outcome is Outcome.REACHED or answer.reason, answer
+    assert answer.duration_s < 12.0, "at 1 mm/min the last 3 mm alone take 180 s"
+    assert rig.deepest_mm() <= DEPTH_MM + 0.05
+
+
+@pytest.mark.parametrize(("received", "deeper_mm"), [(b"Z-42G53G1", 2.0), (b"X-12G53G1", 0.05)])
+@pytest.mark.parametrize("dialect", ["grblHAL", "FluidNC"])
+def test_a_damaged_contact_line_of_a_board_without_the_frame_is_held(
+    dialect: str, received: bytes, deeper_mm: float
+) -> None:
+    """The line has machine coordinates there, so only the watch limits the depth."""
+    rig = DamagedRig(dialect=dialect)
+    rig.home()
+    assert rig.finish(TRAVEL).outcome is Outcome.REACHED
+    rig.once(b"Z-12G53G1", received)
+    answer = rig.finish(TOUCH)
+    assert rig.to_board is None and answer.code in ("left_path", "touch_unproved"), answer
+    assert rig.deepest_mm() <= DEPTH_MM + deeper_mm
+    assert rig.mpos()[2] > HOMED[2] - 0.1, "lifted"
 
 
 def test_a_homing_that_was_another_question_is_none() -> None:
@@ -334,6 +364,44 @@ def test_a_damaged_banner_at_rest_publishes_no_position_of_a_board_that_was_rese
     rig.run_for(3.0)
     assert all(math.dist(reading, (0.0, 0.0, 0.0)) < 0.1 for reading, _ in rig.published[told:])
     assert not rig.machine.homed
+
+
+def test_a_late_copy_of_a_report_at_rest_holds_and_publishes_nothing() -> None:
+    """A report of the motion that has just ended arrives a second time: the machine holds, its position stays."""
+    rig = DamagedRig()
+    rig.home()
+    seen: list[bytes] = []
+
+    def keep(data: bytes) -> bytes:
+        seen.extend(re.findall(rb"<Run[^>]*>\r\n", data))
+        return data
+
+    rig.from_board = keep
+    assert rig.finish([(0.1, 0.05, 0.0), (0.1, 0.05, 0.005)]).outcome is Outcome.REACHED
+    rig.run_for(0.05)
+    told, disbelieved = len(rig.published), rig.machine.counts.disbelieved
+    seen[:] = [seen[-4]]  # 0.08 s before the end: 2 mm above it
+    rig.from_board = lambda data: data + seen.pop() if seen else data
+    rig.until(lambda: rig.states[-1].startswith("stopped"), 20.0)
+    assert rig.states[-1] == "stopped: the board is in Run without a command from here", "a pendant may move it"
+    assert rig.machine.counts.disbelieved == disbelieved + 1 and rig.machine.homed
+    assert max(math.dist(reading, true) for reading, true in rig.published[told:]) < 1.0
+
+
+@pytest.mark.parametrize("cut", [b"G53G1Z-21F1800", b"Z0G1", b"$H", b"$J=G91X10F600"])
+def test_a_line_that_a_killed_program_has_cut_off_moves_nothing(cut: bytes) -> None:
+    """The board keeps half a line and its power; the next connection must not end the line and so execute it."""
+    rig = DamagedRig()
+    rig.home()
+    place = rig.mpos()
+    rig._write(cut)
+    rig._close()
+    rig.machine.closed("killed", rig.now)
+    rig._open = True
+    rig.machine.opened(rig.now)
+    rig.until(lambda: rig.machine.phase.name == "UNHOMED", 30.0)
+    rig.run_for(2.0)
+    assert rig.mpos() == place and not rig.machine.homed
 
 
 # --- seeded -----------------------------------------------------------------------------------------------------------

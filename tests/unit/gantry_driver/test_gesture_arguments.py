@@ -10,7 +10,7 @@ import pytest
 
 from gantry_driver.cli import gantry_goal, gantry_sequence
 from gantry_driver.cli.operator_session import Interrupted
-from icu_common.core.sequence import parse_file
+from icu_common.core.goals.sequence import parse_file
 
 
 @pytest.mark.parametrize(

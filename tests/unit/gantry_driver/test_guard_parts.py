@@ -11,6 +11,7 @@ import pytest
 
 from gantry_driver.adapters.guard import clock as clock_module
 from gantry_driver.adapters.guard.clock import GuardClock, counts_of_environment
+from gantry_driver.core.grbl.trajectory_gcode import Waypoint
 from gantry_driver.core.guard.commands import COMMANDS
 from gantry_driver.core.guard.messages import (
     MAX_FRAME_BYTES,
@@ -25,14 +26,13 @@ from gantry_driver.core.guard.messages import (
     waypoints_of,
 )
 from gantry_driver.core.guard.silence import LATE_S, SilenceWatch, ThreadSample
-from gantry_driver.core.machine import Machine
-from gantry_driver.core.machine_config import DriverConfig, MachineConfig, StylusConfig
-from gantry_driver.core.machine_states import Answered, CloseRequested, Event, Note, Position, StateChanged
-from gantry_driver.core.trajectory_gcode import Waypoint
-from icu_common.adapters.step_layout import BYTES_READ, BYTES_WRITTEN, LEDGER_VARIABLE, StepCounts
-from icu_common.adapters.step_ledger import StepLedger
-from icu_common.core.frames import JOINTS
-from icu_common.core.results import GoalResult, Outcome
+from gantry_driver.core.machine.machine import Machine
+from gantry_driver.core.machine.machine_config import DriverConfig, MachineConfig, StylusConfig
+from gantry_driver.core.machine.machine_states import Answered, CloseRequested, Event, Note, Position, StateChanged
+from icu_common.adapters.steps.step_layout import BYTES_READ, BYTES_WRITTEN, LEDGER_VARIABLE, StepCounts
+from icu_common.adapters.steps.step_ledger import StepLedger
+from icu_common.core.geometry.frames import JOINTS
+from icu_common.core.goals.results import GoalResult, Outcome
 
 RESULT = GoalResult(
     goal_id="7",
@@ -87,7 +87,9 @@ def test_a_message_that_is_too_long_is_not_sent() -> None:
     "event",
     [
         StateChanged(text="stopped: why"),
+        StateChanged(text="stopped: why", logged=False),
         Position(reading_m=(0.1, 0.2, 0.3)),
+        Position(reading_m=(0.1, 0.2, 0.3), probe=True),
         Note(level="error", text="what"),
         CloseRequested(reason="silent"),
         Answered(result=RESULT),

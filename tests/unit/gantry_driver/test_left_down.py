@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 from unit.gantry_driver.protocol_board import HOMED, NO_PANEL, Board, Rig
 
-from gantry_driver.core.machine import Machine
-from gantry_driver.core.machine_config import DriverConfig, StylusConfig
+from gantry_driver.core.machine.machine import Machine
+from gantry_driver.core.machine.machine_config import DriverConfig, StylusConfig
 
 NOT_LIFTED = "the stylus was not lifted, it may still press"
 LIFTED = "stopped: the stylus was left down while no driver was connected"
@@ -72,6 +72,48 @@ def test_a_board_that_still_moves_is_held_at_once_and_lifted() -> None:
     assert rig.board.mpos[2] == pytest.approx(HOMED[2]) and rig.board.mpos[0] < HOMED[0] + 290
     held_at = next(at for at, byte in rig.board.realtime[since:] if byte == ord("!"))
     assert held_at - begun < 0.1
+
+
+@pytest.mark.parametrize("same_driver", [True, False])
+def test_a_board_that_still_travels_with_the_stylus_up_is_held_at_once(same_driver: bool) -> None:
+    rig = Rig().homed()
+    rig.go((0.3, 0.1, 0.0))
+    rig.until(lambda: rig.board.mpos[0] > HOMED[0] + 20)
+    rig.machine.closed("no status report for 1.5 s", rig.now)
+    if not same_driver:
+        rig.machine = Machine(rig.machine.config)
+        rig.machine.left_moving = True
+    rig.board.step(rig.now)
+    since, begun = len(rig.board.realtime), rig.now
+    reopen(rig)
+    held_at = next(at for at, byte in rig.board.realtime[since:] if byte == ord("!"))
+    assert held_at - begun < 0.1
+    assert rig.board.mpos[0] < HOMED[0] + 290 and moves(rig.board) == [] and rig.state == "unhomed"
+
+
+def test_a_board_that_restarts_at_the_opening_gets_questions_only_before_its_banner() -> None:
+    rig = Rig().homed()
+    rig.machine = Machine(rig.machine.config)
+    rig.machine.left_moving = True
+    rig.board.out.clear()
+    rig.board.mute = True  # its start takes 0.4 s, in which its loader receives what is sent
+    since, begun = len(rig.board.realtime), rig.now
+    rig.machine.opened(begun)
+    rig.run_for(0.4)
+    before = {byte for _, byte in rig.board.realtime[since:]}
+    rig.board.mute = False
+    rig.board.power_cycle()
+    rig.until(lambda: rig.state == "unhomed")
+    assert before == {ord("?")}, "three holds in a row are a command of a common loader"
+    assert ord("!") not in {byte for _, byte in rig.board.realtime[since:]} and moves(rig.board) == []
+
+
+def test_a_board_that_was_at_rest_is_given_time_for_its_banner() -> None:
+    rig = Rig().homed()
+    rig.machine.closed("the device has gone", rig.now)
+    since, begun = len(rig.board.realtime), rig.now
+    reopen(rig)
+    assert rig.board.realtime[since][0] - begun >= rig.machine.config.banner_wait_s
 
 
 def test_nothing_is_lifted_where_the_board_does_not_know_its_position() -> None:

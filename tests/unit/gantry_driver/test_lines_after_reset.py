@@ -9,15 +9,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gantry_driver.core.gcode_check import Bounds, ProgramChecker
-from gantry_driver.core.machine_config import DriverConfig, StylusConfig
-from gantry_driver.core.session import Line
-from gantry_driver.core.trajectory_gcode import Waypoint, lift_lines, write_motion
+from gantry_driver.core.grbl.gcode_check import Bounds, ProgramChecker
+from gantry_driver.core.grbl.session import Line
+from gantry_driver.core.grbl.trajectory_gcode import Waypoint, lift_lines, write_motion
+from gantry_driver.core.machine.machine_config import DriverConfig, StylusConfig
 from gantry_driver.core.wire.stages import make_script
 from gantry_driver.mock.firmware.gcode import check_line
 from gantry_driver.mock.firmware.parser_state import ParserState
 from gantry_driver.mock.firmware.words import GcodeError
-from icu_common.core.frames import JOINTS
+from icu_common.core.geometry.frames import JOINTS
 
 PLACES = [[-100.0, -100.0, -10.0] for _ in range(8)]
 BOUNDS = Bounds(low_mm=(-360.0, -220.0, -60.0), high_mm=(0.0, 0.0, 0.0), rapid_mm_min=(12000.0, 12000.0, 3000.0))

@@ -300,6 +300,18 @@ def test_probing() -> None:
     assert rig.send(b"G38.2Z-50F300\n", 1.0) == b"ALARM:4\r\nok\r\n"
 
 
+def test_lost_steps_move_the_motor_and_not_the_count_until_the_board_homes() -> None:
+    rig = Rig.homed()
+    rig.machine.inject("lost_steps", {"axis": "Z", "mm": 0.8})
+    rig.machine.inject("lost_steps", {"axis": "x", "mm": -1.5})
+    assert rig.machine.truth()["mpos"] == pytest.approx([-360.5, -219.0, -0.2])
+    assert rig.report()[1] == (-359.0, -219.0, -1.0)
+    assert rig.send(b"G53G1Z-11F1800\n", 2.0) == OK
+    assert rig.machine.truth()["mpos"][2] == pytest.approx(-10.2), "0.8 mm higher than the board believes"
+    assert rig.send(b"$H\n", 60.0) == OK
+    assert rig.machine.truth()["mpos"] == pytest.approx([-359.0, -219.0, -1.0], abs=0.01)
+
+
 @pytest.mark.parametrize(("word", "alarm"), [(b"G38.2", b"ALARM:5\r\n"), (b"G38.3", b"")])
 def test_probing_without_contact(word: bytes, alarm: bytes) -> None:
     rig = Rig.homed()
@@ -346,6 +358,8 @@ def test_brown_out_forgets_the_position_but_the_motors_stay() -> None:
         ("limit", {"axis": "A"}, "axis = 'A' is none of X, Y, Z"),
         ("door", {"on": 1}, "on = 1: true or false is needed"),
         ("probe_surface", {"z_mm": "low"}, "z_mm = 'low': a number of mm"),
+        ("lost_steps", {"axis": "Z"}, "mm = None: a number of mm"),
+        ("lost_steps", {"axis": "Z", "mm": 2e4}, "mm = 20000.0 is not within -10000 to 10000 mm"),
         ("unplug", {"seconds": float("nan")}, "seconds = nan"),
     ],
 )

@@ -9,6 +9,7 @@ import signal
 import stat
 import subprocess
 import sys
+import termios
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -96,6 +97,29 @@ def test_opening_the_port_resets_the_board(start: Callable[..., Running]) -> Non
     wait_for(lambda: running.control.ask(do="state")["open"] is False)
     again = running.open()
     assert expect(again, UNLOCK) == BANNER + UNLOCK
+
+
+def test_a_port_that_does_not_hang_up_keeps_dtr_high_and_the_board_running(start: Callable[..., Running]) -> None:
+    running = start()
+    port = running.open()
+    assert expect(port, UNLOCK) == BANNER + UNLOCK
+    port.write(b"$X\n")
+    assert expect(port, b"ok\r\n") == b"[MSG:Caution: Unlocked]\r\nok\r\n"
+    modes = termios.tcgetattr(port.fileno())
+    assert modes[2] & termios.HUPCL, "a port hangs up until a program changes that"
+    modes[2] &= ~termios.HUPCL
+    termios.tcsetattr(port.fileno(), termios.TCSANOW, modes)
+    port.close()
+    wait_for(lambda: running.control.ask(do="state")["open"] is False)
+    port = running.open()
+    wait_for(lambda: running.control.ask(do="state")["open"] is True)
+    port.write(b"?")
+    assert expect(port, b">\r\n").startswith(b"<Idle|")
+    modes[2] |= termios.HUPCL
+    termios.tcsetattr(port.fileno(), termios.TCSANOW, modes)
+    port.close()
+    wait_for(lambda: running.control.ask(do="state")["open"] is False)
+    assert expect(running.open(), UNLOCK) == BANNER + UNLOCK
 
 
 def test_a_board_that_ignores_dtr_keeps_its_state(start: Callable[..., Running]) -> None:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from gantry_driver.core.monitor import Monitor
-from gantry_driver.core.progress import progress_text
+from gantry_driver.core.goals.progress import progress_text
+from gantry_driver.core.machine.monitor import Monitor
 
 
 def values(sent: int) -> dict[str, str]:

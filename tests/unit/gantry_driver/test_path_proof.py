@@ -2,32 +2,38 @@
 
 from __future__ import annotations
 
+import bisect
 import itertools
+import math
+import random
 import re
 from pathlib import Path
 
 import pytest
 
 from gantry_driver.adapters.stylus_record import StylusRecord
-from gantry_driver.core.machine_config import DriverConfig, MachineConfig, StylusConfig
-from gantry_driver.core.trajectory_gcode import Waypoint, write_motion
+from gantry_driver.core.grbl.trajectory_gcode import Waypoint, write_motion
+from gantry_driver.core.machine.machine_config import DriverConfig, MachineConfig, StylusConfig
 from gantry_driver.core.wire.clearance import stopping_way_mm
 from gantry_driver.core.wire.modes import Modes
 from gantry_driver.core.wire.stages import Script, make_script
-from gantry_driver.core.wire.watch import REPORT_LATE_S, TUBE_MM, PathWatch, Segment
+from gantry_driver.core.wire.watch import REPORT_LATE_S, SEGMENTS_S, TUBE_MM, PathWatch, Segment
 from gantry_driver.mock.firmware.gcode import check_line
 from gantry_driver.mock.firmware.parser_state import ParserState
 from gantry_driver.mock.firmware.words import GcodeError
-from icu_common.core.config import ConfigError
-from icu_common.core.frames import JOINTS
+from icu_common.core.configuration.config import ConfigError
+from icu_common.core.geometry.frames import JOINTS
 
 CONFIG = DriverConfig()
 Place = tuple[float, float, float]
 
 
+ACCELERATION = CONFIG.machine.acceleration_mm_s2
+
+
 def watch(*places: Place, feed: float = 6000.0, axes: int = 3) -> PathWatch:
     segments = [Segment(start_mm=start, end_mm=end, feed_mm_min=feed) for start, end in itertools.pairwise(places)]
-    return PathWatch.along(places[0], segments, axes, 0.0)
+    return PathWatch.along(places[0], segments, axes, 0.0, ACCELERATION)
 
 
 def script(*points: Place, start: Place = (0.0, 0.0, 0.0), frame: Place | None = None, framed: bool = True) -> Script:
@@ -92,6 +98,86 @@ def test_an_axis_that_the_board_does_not_have_is_not_compared() -> None:
     assert tube.check((5.0, 0.0, -33.0), 6000.0, 0.05) is None
 
 
+def test_an_old_report_that_fits_the_way_back_waits_for_a_second_one() -> None:
+    """The stylus rises again; the report of 0.35 s ago, on its way down at 600 mm/min, has the place 1.2 mm ahead."""
+    up = watch((0.0, 0.0, -32.933), (0.0, 0.0, -28.933), feed=3000.0)
+    for at, z, feed in [(0.04, -32.848, 493.0), (0.06, -32.605, 973.0), (0.08, -32.195, 1457.0)]:
+        assert up.check((0.0, 0.0, z), feed, at, asked_at=at - 0.005) is None and not up.early
+    assert up.check((0.0, 0.0, -30.983), 600.0, 0.1, asked_at=0.095) is None and up.early
+    assert up.check((0.0, 0.0, -31.635), 1933.0, 0.1, asked_at=0.095) is None and not up.early
+
+
+def test_a_board_that_reports_no_feed_is_compared_by_the_feed_of_the_path() -> None:
+    up = watch((0.0, 0.0, 0.0), (0.0, 0.0, 30.0), feed=3000.0)
+    for step in range(1, 6):
+        assert up.check((0.0, 0.0, 1.0 * step), None, 0.02 * step) is None and not up.early
+    assert up.check((0.0, 0.0, 7.5), None, 0.12) is None and up.early
+
+
+def motion(rng: random.Random) -> tuple[list[Place], list[float], list[tuple[float, Place, float]]]:
+    """Return a random path, its feeds (mm/min), and its motion from rest to rest every 0.1 ms: time, place, speed."""
+    places, feeds = [(0.0, 0.0, 0.0)], []
+    kind = rng.choice(["up and down", "across", "dense", "any"])
+    for _ in range(rng.randint(1, 40 if kind == "dense" else 6)):
+        x, y, z = places[-1]
+        reach = 1.0 if kind == "dense" else rng.choice([2.0, 40.0])
+        by = [rng.uniform(-reach, reach) for _ in range(3)]
+        by = {"up and down": [0.0, 0.0, by[2]], "across": [*by[:2], 0.0]}.get(kind, by)
+        places.append((x + by[0], y + by[1], z + by[2]))
+        feeds.append(rng.choice([300.0, 600.0, 1800.0, 3000.0] if by[2] else [900.0, 3600.0, 9000.0, 12000.0]))
+    pace, squares, limits = 0.002, [], []
+    spots: list[Place] = []
+    for (start, end), feed in zip(itertools.pairwise(places), feeds):
+        length = math.dist(start, end)
+        count = max(1, round(length / pace))
+        limit = min(a * length / abs(e - s) for a, s, e in zip(ACCELERATION, start, end) if e != s)
+        corner = rng.uniform(0.0, 1.0) * (feed / 60.0) ** 2
+        for number in range(count):
+            share = number / count
+            spots.append(tuple(s + share * (e - s) for s, e in zip(start, end)))  # type: ignore[arg-type]
+            squares.append(corner if number == 0 else (feed / 60.0) ** 2)
+            limits.append(2.0 * limit * length / count)
+    spots.append(places[-1])
+    squares[0] = 0.0
+    squares.append(0.0)
+    for number, gain in enumerate(limits):
+        squares[number + 1] = min(squares[number + 1], squares[number] + gain)
+    for number, gain in reversed(list(enumerate(limits))):
+        squares[number] = min(squares[number], squares[number + 1] + gain)
+    now, states = 0.0, [(0.0, spots[0], 0.0)]
+    for number in range(len(limits)):
+        speed = (math.sqrt(squares[number]) + math.sqrt(squares[number + 1])) / 2.0
+        now += math.dist(spots[number], spots[number + 1]) / speed
+        states.append((now, spots[number + 1], math.sqrt(squares[number + 1])))
+    return places, feeds, states
+
+
+@pytest.mark.parametrize("seed", range(60))
+def test_no_report_of_a_motion_along_the_path_is_early(seed: int) -> None:
+    """The reported feed is ahead of the position by up to GRBL's segment buffer; reports come and are read at once, or
+    late."""
+    rng = random.Random(f"motion {seed}")
+    places, feeds, states = motion(rng)
+    segments = [
+        Segment(start_mm=start, end_mm=end, feed_mm_min=feed)
+        for (start, end), feed in zip(itertools.pairwise(places), feeds)
+    ]
+    tube = PathWatch.along(places[0], segments, 3, 0.0, ACCELERATION)
+    times = [state[0] for state in states]
+    constant, late = rng.uniform(0.0, SEGMENTS_S), rng.random() < 0.3
+    asked = 0.0
+    while asked < times[-1] + 0.05:
+        asked += rng.choice([0.005, 0.02, 0.02, 0.04])
+        made = asked + rng.uniform(0.0, 0.004)
+        read = made + rng.uniform(0.0, 0.3 if late else 0.02)
+        ahead = constant if seed % 2 else rng.uniform(0.0, SEGMENTS_S)
+        place = states[min(bisect.bisect_right(times, made), len(states) - 1)][1]
+        speed = states[min(bisect.bisect_right(times, made + ahead), len(states) - 1)][2]
+        rounded = tuple(round(value * 400.0) / 400.0 for value in place)
+        assert tube.check(rounded, float(round(60.0 * speed)), read, asked_at=asked) is None
+        assert not tube.early, f"{place} at {made:.3f} s"
+
+
 # --- stages and their lines -------------------------------------------------------------------------------------------
 
 
@@ -116,7 +202,7 @@ def test_a_way_down_that_goes_sideways_stops_above_its_end() -> None:
     made = script((0.1, 0.0, 0.03))
     assert [stage.end_mm for stage in made.stages] == [
         (-359.0, -219.0, -1.0),
-        (-289.0, -219.0, -22.0),
+        (-294.0, -219.0, -20.5),
         (-259.0, -219.0, -31.0),
     ]
 
@@ -133,7 +219,7 @@ def test_a_retreat_in_the_frame_of_its_touch_is_not_asked_for_its_modes() -> Non
 
 def test_a_board_that_keeps_offsets_over_a_reset_gets_no_frame_but_the_same_stops() -> None:
     lines = script((0.1, 0.05, 0.02), start=(0.1, 0.05, 0.0), framed=False).lines(CONFIG)
-    assert lines == ["F1800G21G90G94", "$G", "Z-12G53G1", "Z-21G53G1", "G4P0"]
+    assert lines == ["F1800G21G90G94", "$G", "Z-10.5G53G1", "Z-21G53G1", "G4P0"]
 
 
 def test_the_time_of_a_path_counts_with_the_rate_of_a_slow_axis() -> None:
@@ -194,7 +280,7 @@ def test_the_clearance_must_stop_a_damaged_approach() -> None:
     ):
         DriverConfig(clearance_m=0.005)
     with pytest.raises(ConfigError, match="touch_status_rate_hz"):
-        DriverConfig(touch_status_rate_hz=25.0)
+        DriverConfig(touch_status_rate_hz=15.0)
     slow = MachineConfig(max_rate_mm_min=(12000.0, 12000.0, 1500.0))
     assert DriverConfig(clearance_m=0.006, machine=slow).clearance_m == 0.006
     assert DriverConfig(clearance_m=0.001, stylus=StylusConfig(kind="servo_m3")).clearance_m == 0.001

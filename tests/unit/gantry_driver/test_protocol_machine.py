@@ -13,14 +13,14 @@ import pytest
 from unit.gantry_driver import protocol_board
 from unit.gantry_driver.protocol_board import HOMED, SETTINGS, Board, Rig
 
-from gantry_driver.core.gcode_check import CheckedLine
-from gantry_driver.core.machine import Machine
-from gantry_driver.core.machine_config import DriverConfig, MachineConfig, StylusConfig
-from gantry_driver.core.machine_states import Note
-from gantry_driver.core.trajectory_gcode import Waypoint
+from gantry_driver.core.grbl.gcode_check import CheckedLine
+from gantry_driver.core.grbl.trajectory_gcode import Waypoint
+from gantry_driver.core.machine.machine import Machine
+from gantry_driver.core.machine.machine_config import DriverConfig, MachineConfig, StylusConfig
+from gantry_driver.core.machine.machine_states import Note
 from gantry_driver.core.wire.proof import QUEUED_LINES
-from icu_common.core.config import ConfigError, settings_of
-from icu_common.core.frames import JOINTS
+from icu_common.core.configuration.config import ConfigError, settings_of
+from icu_common.core.geometry.frames import JOINTS
 
 
 def test_connects_checks_settings_and_waits_unhomed() -> None:
@@ -1868,6 +1868,7 @@ def test_a_marlin_that_comes_up_in_the_place_of_the_board_ends_what_was_under_wa
     rig.run_for(0.2)
     assert rig.machine.phase.name == phase
     rig.board.mute = True
+    rig.run_for(0.05)  # a report that is under way would come from the Marlin otherwise
     rig.trace.clear()
     rig.machine.receive(b"start\necho:Marlin 2.1.2\n", rig.now)
     rig.step()

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gantry_driver.core.grbl_messages import (
+from gantry_driver.core.grbl.grbl_messages import (
     Alarm,
     Banner,
     BuildOptions,
@@ -26,7 +26,7 @@ from gantry_driver.core.grbl_messages import (
     SettingValue,
     parse_line,
 )
-from gantry_driver.core.session import (
+from gantry_driver.core.grbl.session import (
     Acknowledged,
     CountBroken,
     GrblSession,
@@ -121,6 +121,12 @@ def test_a_session_survives_every_mixture_of_almost_valid_pieces(pieces: list[by
         (b"ok<Idle|MPos:0,0,0|FS:0,0>", Garbage(raw=b"ok<Idle|MPos:0,0,0|FS:0,0>")),
         (b"<Idle|MPos:0.000,0.0", Garbage(raw=b"<Idle|MPos:0.000,0.0")),
         (b"<Idle|MPos:0,0>", Garbage(raw=b"<Idle|MPos:0,0>")),
+        (b"<Run|MPos:-217.088,-83.688,-1.05>", Garbage(raw=b"<Run|MPos:-217.088,-83.688,-1.05>")),
+        (b"<Run|MPos:1.000,2.0000,3.000>", Garbage(raw=b"<Run|MPos:1.000,2.0000,3.000>")),
+        (
+            b"<Run|MPos:1.000,2.000,3.000|WCO:1.000,2.00,3.000>",
+            Garbage(raw=b"<Run|MPos:1.000,2.000,3.000|WCO:1.000,2.00,3.000>"),
+        ),
         (b"<Idle|MPos:nan,0,0>", Garbage(raw=b"<Idle|MPos:nan,0,0>")),
         (b"<Fast|MPos:0,0,0>", Garbage(raw=b"<Fast|MPos:0,0,0>")),
     ],
@@ -439,3 +445,22 @@ def test_a_late_report_counts_as_asked_for_by_the_first_question_though_later_on
     assert asked == [1, 2, 2]
     list(session.receive(b"<Run|MPos:1.000,0.000,0.000|FS:500,0>\r\n", 10.16))
     assert session.report_asked_at == 10.05
+
+
+def test_a_question_that_was_lost_at_rest_repeats_none_in_motion_and_makes_no_report_older() -> None:
+    """A board that starts, or merges two questions, answers one report fewer for the rest of the connection."""
+    session = started()
+    session.polling, session.poll_interval_s = True, 0.1
+    assert session.output(1.0) == b"?", "it gets lost"
+    for step in range(1, 4):
+        now = 1.0 + 0.101 * step
+        assert session.output(now) == b"?"
+        list(session.receive(b"<Idle|MPos:0,0,0|FS:0,0>\r\n", now + 0.005))
+        assert session.report_asked_at == pytest.approx(now)
+    session.poll_interval_s, session.sets_feed_back = 0.02, True
+    session.poll_now()
+    for step in range(5):
+        now = 1.4 + 0.021 * step
+        assert session.output(now) == b"?"
+        list(session.receive(b"<Run|MPos:0,0,0|FS:0,0>\r\n", now + 0.005))
+        assert session.report_asked_at == pytest.approx(now)

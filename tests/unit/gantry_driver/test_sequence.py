@@ -7,10 +7,10 @@ from dataclasses import replace
 
 import pytest
 
-from gantry_driver.core.sequence import Report, SendCommand, SequenceConfig, SequenceRun, StopMachine
-from icu_common.core.panel_state import ControlSeen, PanelSeen
-from icu_common.core.results import GoalResult, Outcome
-from icu_common.core.sequence import SequenceError, parse_file, parse_steps, unfit
+from gantry_driver.core.goals.sequence import Report, SendCommand, SequenceConfig, SequenceRun, StopMachine
+from icu_common.core.goals.results import GoalResult, Outcome
+from icu_common.core.goals.sequence import SequenceError, parse_file, parse_steps, unfit
+from icu_common.core.panel.panel_state import ControlSeen, PanelSeen
 
 S = 1_000_000_000
 FILE = """\

@@ -7,10 +7,10 @@ import math
 import numpy as np
 import pytest
 
-from gantry_driver.core.controller_config import ControllerConfig
-from gantry_driver.core.goal_job import Aim, Fault
-from gantry_driver.core.servo import Look, contact_complaint, judge
-from icu_common.core.geometry import Array, Transform
+from gantry_driver.core.goals.controller_config import ControllerConfig
+from gantry_driver.core.goals.goal_job import Aim, Fault
+from gantry_driver.core.motion.servo import Look, contact_complaint, judge
+from icu_common.core.geometry.geometry import Array, Transform
 
 CONFIG = ControllerConfig()
 BASE_FROM_CAMERA = Transform(np.diag([1.0, -1.0, -1.0]), np.array([0.1, 0.2, 0.4]))

@@ -17,11 +17,11 @@ from unit.gantry_driver.controller_bench import (
     turned,
 )
 
-from gantry_driver.core.scene import PanelMap, Refused, Scene
-from gantry_driver.core.targets import TouchConfig, highest_near, resolve, turn_points
-from icu_common.core.geometry import Array, Transform
-from icu_common.core.gesture import parse_gesture
-from icu_common.core.panel_layout import Control, Dimple
+from gantry_driver.core.motion.scene import PanelMap, Refused, Scene
+from gantry_driver.core.motion.targets import TouchConfig, highest_near, resolve, turn_points
+from icu_common.core.geometry.geometry import Array, Transform
+from icu_common.core.panel.gesture import parse_gesture
+from icu_common.core.panel.panel_layout import Control, Dimple
 
 CONFIG = TouchConfig()
 SCENE = Scene(

@@ -10,8 +10,8 @@ from rclpy.serialization import serialize_message
 from std_msgs.msg import Header
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from gantry_driver.core.trajectory_bytes import HEAD_BYTES, MAX_NAMES, TrajectoryHead, max_bytes, read_head
-from icu_common.core.frames import JOINTS
+from gantry_driver.core.grbl.trajectory_bytes import HEAD_BYTES, MAX_NAMES, TrajectoryHead, max_bytes, read_head
+from icu_common.core.geometry.frames import JOINTS
 
 
 def trajectory(points: int, frame_id: str = "goal 7", names: tuple[str, ...] = JOINTS) -> bytes:

@@ -8,10 +8,10 @@ from typing import Any
 import cv2
 import numpy as np
 
-from harris_perception.core.board import Board, rectangles
-from harris_perception.core.board_detection import BoardView
-from icu_common.core.camera_model import CameraModel
-from icu_common.core.geometry import Array
+from harris_perception.core.cameras.board import Board, rectangles
+from harris_perception.core.cameras.board_detection import BoardView
+from icu_common.core.geometry.camera_model import CameraModel
+from icu_common.core.geometry.geometry import Array
 
 SIZE = (960, 720)
 

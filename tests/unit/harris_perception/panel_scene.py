@@ -11,10 +11,10 @@ from typing import Any
 import cv2
 import numpy as np
 
-from harris_perception.core.panel_template import draw_panel
-from icu_common.core.camera_model import CameraModel
-from icu_common.core.geometry import Array, Transform
-from icu_common.core.panel_layout import Control, PanelLayout, load_layout, rgb
+from harris_perception.core.recognition.panel_template import draw_panel
+from icu_common.core.geometry.camera_model import CameraModel
+from icu_common.core.geometry.geometry import Array, Transform
+from icu_common.core.panel.panel_layout import Control, PanelLayout, load_layout, rgb
 
 LAYOUT = Path(__file__).parents[3] / "config" / "scopes" / "dso_bench_4.yaml"
 _TEXTURE_PX_PER_MM = 8.0

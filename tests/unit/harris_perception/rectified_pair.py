@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from pinhole import pinhole
 
-from harris_perception.core.calibration_file import StoredCalibration
-from harris_perception.core.planar_pose import FacePoints
-from icu_common.core.camera_model import CameraModel, StereoModel
-from icu_common.core.geometry import Transform
+from harris_perception.core.hand_eye.calibration_file import StoredCalibration
+from harris_perception.core.pose.planar_pose import FacePoints
+from icu_common.core.geometry.camera_model import CameraModel, StereoModel
+from icu_common.core.geometry.geometry import Transform
 
 
 def camera(focal_px: float = 1700.0, baseline_m: float = 0.0) -> CameraModel:

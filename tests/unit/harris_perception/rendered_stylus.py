@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from icu_common.core.camera_model import CameraModel, StereoModel
+from icu_common.core.geometry.camera_model import CameraModel, StereoModel
 
 Array = npt.NDArray[Any]
 TILT = np.deg2rad(25.0)

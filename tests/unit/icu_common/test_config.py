@@ -7,7 +7,15 @@ from typing import Any
 
 import pytest
 
-from icu_common.core.config import Config, ConfigError, from_mapping, nested, setting, settings_of, to_mapping
+from icu_common.core.configuration.config import (
+    Config,
+    ConfigError,
+    from_mapping,
+    nested,
+    setting,
+    settings_of,
+    to_mapping,
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from icu_common.core.delays import Delay, ResultCode, delay_of, is_delayed, with_load
-from icu_common.core.results import GoalResult, Outcome
+from icu_common.core.goals.results import GoalResult, Outcome
+from icu_common.core.processes.delays import Delay, ResultCode, delay_of, is_delayed, with_load
 
 LATE = Delay(code=ResultCode.LATE_IMAGE, what="image of the left camera", measured_s=1.416, limit_s=1.0)
 

@@ -31,9 +31,9 @@ def test_pair_arrives_with_its_stamp(tmp_path: Path) -> None:
     server.send(PAIR, 123_456_789_012)
     sender = threading.Thread(target=drain, args=(server,))
     sender.start()
-    pictures, stamp = client.read(DEADLINE_S)
+    pictures, stamps_ns, cameras = client.read(DEADLINE_S)
     sender.join(DEADLINE_S)
-    assert stamp == 123_456_789_012
+    assert stamps_ns == (123_456_789_012,) * 2 and cameras == (0, 1)
     np.testing.assert_array_equal(pictures, PAIR)
     with pytest.raises(TimeoutError):
         client.read(0.01)
@@ -45,6 +45,34 @@ def test_pair_arrives_with_its_stamp(tmp_path: Path) -> None:
         FrameClient(tmp_path / "s")
 
 
+def test_each_image_has_its_own_stamp_and_camera(tmp_path: Path) -> None:
+    """Two cameras that run freely expose at times of their own, and each may lose an image of its own."""
+    server = FrameServer(tmp_path / "s")
+    client = FrameClient(tmp_path / "s")
+    small = [picture[:48, :64].copy() for picture in PAIR]
+    assert server.reader_count() == 1
+    server.send(small, (1_000_000_000, 1_021_000_000))
+    server.flush()
+    pictures, stamps_ns, cameras = client.read(DEADLINE_S)
+    assert stamps_ns == (1_000_000_000, 1_021_000_000) and cameras == (0, 1)
+    np.testing.assert_array_equal(pictures, small)
+    server.send(small[1:], (7,), (1,))
+    pictures, stamps_ns, cameras = client.read(DEADLINE_S)
+    assert stamps_ns == (7,) and cameras == (1,)
+    np.testing.assert_array_equal(pictures, small[1:])
+    client.close()
+    server.close()
+
+
+def test_what_does_not_fit_together_is_not_sent(tmp_path: Path) -> None:
+    server = FrameServer(tmp_path / "s")
+    with pytest.raises(ValueError, match="2 images, 1 stamps, 2 cameras"):
+        server.send(PAIR, (1,))
+    with pytest.raises(ValueError, match="unequal shapes"):
+        server.send([PAIR[0], PAIR[1][:1]], 1)
+    server.close()
+
+
 def test_slow_reader_misses_frames_but_never_gets_a_torn_one(tmp_path: Path) -> None:
     server = FrameServer(tmp_path / "s")
     client = FrameClient(tmp_path / "s")
@@ -53,8 +81,8 @@ def test_slow_reader_misses_frames_but_never_gets_a_torn_one(tmp_path: Path) -> 
         server.send(big, stamp)  # never blocks, although nobody reads
     sender = threading.Thread(target=drain, args=(server,))
     sender.start()
-    pictures, stamp = client.read(DEADLINE_S)
-    assert stamp == 0 and (pictures[0] == 1).all() and (pictures[1] == 2).all()
+    pictures, stamps_ns, _ = client.read(DEADLINE_S)
+    assert stamps_ns == (0, 0) and (pictures[0] == 1).all() and (pictures[1] == 2).all()
     sender.join(DEADLINE_S)
     server.close()
     client.close()
@@ -71,9 +99,9 @@ def test_a_picture_that_is_held_up_half_way_is_read_on(tmp_path: Path) -> None:
             client.read(0.05)
     sender = threading.Thread(target=drain, args=(server,))
     sender.start()
-    pictures, stamp = client.read(DEADLINE_S)
+    pictures, stamps_ns, _ = client.read(DEADLINE_S)
     sender.join(DEADLINE_S)
-    assert stamp == 5 and (pictures[0] == 1).all() and (pictures[1] == 2).all()
+    assert stamps_ns == (5, 5) and (pictures[0] == 1).all() and (pictures[1] == 2).all()
     server.close()
     client.close()
 

@@ -11,8 +11,8 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from icu_common.core.camera_model import CameraModel, StereoModel
-from icu_common.core.geometry import Plane, Transform, mean_pose, nearest_rotation
+from icu_common.core.geometry.camera_model import CameraModel, StereoModel
+from icu_common.core.geometry.geometry import Plane, Transform, mean_pose, nearest_rotation
 
 SEED = 20261121
 

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from icu_common.core.gesture import GESTURES, Gesture, GestureError, Point, parse_gesture
+from icu_common.core.panel.gesture import GESTURES, Gesture, GestureError, Point, parse_gesture
 
 names = st.from_regex(r"[A-Za-z][A-Za-z0-9_]{0,20}", fullmatch=True)
 numbers = st.floats(-1e4, 1e4, allow_nan=False)

@@ -9,8 +9,9 @@ import pytest
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import Image
 
-from icu_common.nodes.conversions import header, image_array, image_message, stamp_ns
 from icu_common.nodes.images import image_bytes, image_of_bytes
+from icu_common.nodes.messages.cameras import image_array, image_message
+from icu_common.nodes.messages.heads import header, stamp_ns
 
 SEED = 3
 STAMP = 1_700_000_000_123_456_789

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from icu_common.core.gesture import parse_gesture
-from icu_common.core.panel_layout import LayoutError, Text, load_layout, parse_layout
+from icu_common.core.panel.gesture import parse_gesture
+from icu_common.core.panel.panel_layout import LayoutError, Text, load_layout, parse_layout
 
 GOOD = """\
 model: test_panel

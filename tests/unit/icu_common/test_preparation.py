@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from icu_common.core.preparation import Cause, Report, Stage, calibration_report, from_line, to_line
+from icu_common.core.processes.preparation import Cause, Report, Stage, calibration_report, from_line, to_line
 
 
 @pytest.mark.parametrize(

@@ -10,9 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from icu_common.adapters.hanging_programs import hanging_file, read_hanging, write_hanging
-from icu_common.adapters.process_identity import is_alive, own_process, process_number
-from icu_common.core.supervision import HANGING_VARIABLE
+from icu_common.adapters.processes.hanging_programs import hanging_file, read_hanging, write_hanging
+from icu_common.adapters.processes.process_identity import is_alive, own_process, process_number
+from icu_common.core.processes.supervision import HANGING_VARIABLE
 
 
 def test_a_process_is_alive_while_it_is_stopped_and_not_once_it_has_ended() -> None:

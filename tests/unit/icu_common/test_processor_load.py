@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from icu_common.adapters.processor_load import LoadMeter, measure_processor_load
-from icu_common.core.processor_load import ProcessorLoad, ProgramLoad, is_of_robot, program_name, sorted_loads
+from icu_common.adapters.processes.processor_load import LoadMeter, measure_processor_load
+from icu_common.core.processes.processor_load import ProcessorLoad, ProgramLoad, is_of_robot, program_name, sorted_loads
 
 WITHIN_S = 20.0
 

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import pytest
 
-from icu_common.adapters.program_end import INTERRUPTED, UNREAD, UNWRITTEN, ends_quietly
+from icu_common.adapters.processes.program_end import INTERRUPTED, UNREAD, UNWRITTEN, ends_quietly
 
 ROOT = Path(__file__).resolve().parents[3]
 BAG = str(ROOT / "tests" / "golden" / "bag")

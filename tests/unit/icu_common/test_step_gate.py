@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from icu_common.adapters.step_gate import StepGate
-from icu_common.adapters.step_ledger import StepLedger, ledger_path
-from icu_common.core.outstanding import Outstanding
+from icu_common.adapters.steps.step_gate import StepGate
+from icu_common.adapters.steps.step_ledger import StepLedger, ledger_path
+from icu_common.core.processes.outstanding import Outstanding
 
 
 class Clock:
@@ -170,7 +170,7 @@ def test_process_that_has_ended_is_not_waited_for(tmp_path: Path, ledgers: list[
     camera, watcher = ledgers[0], ledgers[2]
     gate = StepGate(watcher, patience_s=5.0, clock=clock)
     script = (
-        "import sys\nfrom pathlib import Path\nfrom icu_common.adapters.step_ledger import StepLedger\n"
+        "import sys\nfrom pathlib import Path\nfrom icu_common.adapters.steps.step_ledger import StepLedger\n"
         "ledger = StepLedger(Path(sys.argv[1]))\nledger.register()\nledger.subscribe('/image')\n"
         "ledger.finish('/other', 7)\nprint('ready', flush=True)\nsys.stdin.read()\n"
     )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from icu_common.core.text_bounds import deepest_line, plain
+from icu_common.core.configuration.text_bounds import deepest_line, plain
 
 
 def test_the_line_that_opens_too_many_brackets_is_found() -> None:

@@ -6,7 +6,7 @@ import re
 
 import pytest
 
-from icu_common.core.yaml_text import values_of_pairs
+from icu_common.core.configuration.yaml_text import values_of_pairs
 
 
 def test_values_are_those_of_yaml_and_numbers_with_an_exponent() -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from unit.scope_bench.test_graph_matches_code import config_class, programs
 
-from icu_common.core.config import GRAPH_TIME, WALL_TIME, settings_of
+from icu_common.core.configuration.config import GRAPH_TIME, WALL_TIME, settings_of
 
 PAGE = Path(__file__).parents[3] / "docs/decisions/simulated-time.md"
 GUARDS = {

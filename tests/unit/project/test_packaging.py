@@ -23,9 +23,9 @@ import yaml
 from catkin_pkg.package import parse_package
 from parameter_files import file_values, parameters
 
-from icu_common.adapters.step_ledger import LEDGER_VARIABLE
+from icu_common.adapters.steps.step_ledger import LEDGER_VARIABLE
 from scope_bench.adapters.graph_ledger import path_of_graph
-from scope_bench.core.graph_description import GraphError, load_graph
+from scope_bench.core.startup.graph_description import GraphError, load_graph
 from scope_bench.export.adapters.reading import LIBRARIES
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -268,7 +268,7 @@ def test_ros2_launch_starts_the_graph_that_bring_up_starts(
         if type(a).__name__ == "DeclareLaunchArgument"
     }
     context = {"profile": profile, "config": str(ROOT / "config"), "state": str(tmp_path), "namespace": namespace}
-    context |= {"scope": "", "package": "", "run": str(tmp_path / "run"), "real_time": real_time}
+    context |= {"scope": "", "room": "", "package": "", "run": str(tmp_path / "run"), "real_time": real_time}
     assert declared == set(context)
     started = launch["start"](context)
     stepped = real_time == "false" and profile in ("bench", "test")
@@ -331,7 +331,14 @@ def test_ros2_launch_refuses_a_second_graph_and_a_namespace_that_is_none(
     monkeypatch.setenv("ROS_DOMAIN_ID", f"of {tmp_path.name} {os.getpid()}")  # names are held by this process
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
     start = runpy.run_path(str(ROOT / "src/scope_bench/launch/graph.launch.py"))["start"]
-    given = {"profile": "hardware", "config": str(ROOT / "config"), "state": "", "namespace": "", "scope": ""}
+    given = {
+        "profile": "hardware",
+        "config": str(ROOT / "config"),
+        "state": "",
+        "namespace": "",
+        "scope": "",
+        "room": "",
+    }
     given |= {"package": "", "run": str(tmp_path / "run"), "real_time": "false"}
     with pytest.raises(GraphError, match=r"namespace \.\./bed: names of letters"):
         start(given | {"namespace": "../bed"})
@@ -391,7 +398,15 @@ def test_documents_name_modules_that_are_there(path: Path) -> None:
         assert pkgutil.resolve_name(name), name
 
 
-def test_the_map_of_perception_names_every_module() -> None:
-    folder = ROOT / "src" / "harris_perception" / "harris_perception" / "core"
-    named = re.findall(r"``(\w+)``", ast.get_docstring(ast.parse((folder / "__init__.py").read_text())) or "")
-    assert sorted(named) == sorted(path.stem for path in folder.glob("*.py") if path.stem != "__init__")
+CORE = ROOT / "src" / "harris_perception" / "harris_perception" / "core"
+
+
+@pytest.mark.parametrize(
+    "room", [CORE, *sorted(path.parent for path in CORE.glob("*/__init__.py"))], ids=lambda p: p.name
+)
+def test_each_room_of_perception_names_what_it_holds_in_its_map(room: Path) -> None:
+    named = re.findall(r"``(\w+)``", ast.get_docstring(ast.parse((room / "__init__.py").read_text())) or "")
+    held = [path.stem for path in room.glob("*.py") if path.stem != "__init__"]
+    held += [path.parent.name for path in room.glob("*/__init__.py")]
+    assert sorted(held) and set(held) == set(named)
+    assert len(held) < 15, "a room has at most 15 files, its map included"

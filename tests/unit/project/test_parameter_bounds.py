@@ -2,35 +2,42 @@
 
 from __future__ import annotations
 
+import ast
 import importlib
 import math
 import pkgutil
 import typing
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
 
-from gantry_driver.core.controller_config import ControllerConfig
+from gantry_driver.core.contact.config import ContactConfig, HeightConfig
 from gantry_driver.core.envelope.config import EnvelopeConfig
-from gantry_driver.core.machine_config import DriverConfig
-from icu_common.core.config import Config, ConfigError, ConfigItem, from_mapping, settings_of
+from gantry_driver.core.goals.controller_config import ControllerConfig
+from gantry_driver.core.machine.machine_config import DriverConfig
+from icu_common.core.configuration.config import Config, ConfigError, ConfigItem, from_mapping, settings_of
 from scope_ui_bridge.core.config import BridgeConfig
 
 PACKAGES = ("icu_common", "harris_perception", "gantry_driver", "scope_ui_bridge", "scope_bench")
 ENVELOPE = {"free_space_m", "crossing_m", "side_height_m", "correction_m", "max_sigma_m", "max_age_s"}
 GUARDS = {
     EnvelopeConfig: ENVELOPE,
+    ContactConfig: {"max_travel_m", "lag_m", "height.max_offset_m"},
+    HeightConfig: {"max_offset_m"},
     DriverConfig: {
         *("heartbeat_timeout_s", "moving_status_rate_hz", "touch_status_rate_hz", "status_timeout_s"),
         *("hold_timeout_s", "homing_timeout_s", "goal_max_age_s", "max_rest_extended_s", "lift_on_stop"),
+        "attendance_timeout_s",
         *(f"envelope.{name}" for name in ENVELOPE),
     },
     ControllerConfig: {
         *("max_error_m", "max_correction_m", "max_depth_error_m", "require_servo", "state_max_age_s"),
         *("hidden_after_s", "motion_timeout_s", "goal_max_age_s", "heartbeat_timeout_s", "joints_timeout_s"),
         *("camera_timeout_s", "slow_limit_max_s", "min_confidence", "panel_max_age_s", "panel_moved_m"),
-        "seen_clear_m",
+        *("pair_max_age_s", "pair_max_turn_px", "max_uncertainty_m"),
+        *("seen_clear_m", "contact.max_travel_m", "contact.lag_m", "contact.height.max_offset_m"),
     },
     BridgeConfig: {
         *("frame_max_age_s", "min_confidence", "recognition_max_age_s", "panel_moved_limit_m", "keepalive_fresh_s"),
@@ -40,13 +47,19 @@ GUARDS = {
 """Safety settings, listed by hand: a test fails if one loses its mark."""
 
 
+def _subclasses(of: type[Config]) -> Iterator[type[Config]]:
+    for one in of.__subclasses__():
+        yield one
+        yield from _subclasses(one)
+
+
 def configurations() -> Iterator[type[Config]]:
     """Iterate over every configuration class of the project."""
     for package in PACKAGES:
         for module in pkgutil.walk_packages(importlib.import_module(package).__path__, f"{package}."):
             if ".core." in module.name or ".nodes." in module.name:
                 importlib.import_module(module.name)
-    found = list(Config.__subclasses__())
+    found = list(_subclasses(Config))
     yield from (c for c in found if c.__module__.partition(".")[0] in PACKAGES)
 
 
@@ -103,3 +116,26 @@ def test_time_limit_of_a_safety_setting_has_a_maximum_near_its_purpose(
 ) -> None:
     with pytest.raises(ConfigError, match=f"{name} = .* is above its maximum {most:g} s"):
         from_mapping(config_class, {name: value})
+
+
+def sources() -> Iterator[tuple[Path, ast.Module]]:
+    """Iterate over the modules of the graph and their syntax trees."""
+    for package in PACKAGES:
+        folder = Path(importlib.import_module(package).__path__[0])
+        yield from ((path, ast.parse(path.read_text(encoding="utf-8"))) for path in folder.rglob("*.py"))
+
+
+def test_every_parameter_of_a_node_was_looked_at() -> None:
+    """A node has the parameters of its configuration and declares none by itself."""
+    seen = {config_class.__name__ for config_class in configurations()}
+    used, declared = set(), set()
+    for path, tree in sources():
+        for node in ast.walk(tree):
+            if not isinstance(node, ast.Call):
+                continue
+            if isinstance(node.func, ast.Name) and node.func.id == "LiveParameters":
+                used.add(ast.unparse(node.args[1]))
+            elif isinstance(node.func, ast.Attribute) and node.func.attr.startswith("declare_parameter"):
+                declared.add(path.name)
+    assert declared == {"parameters.py"}
+    assert len(used) >= 13 and used <= seen

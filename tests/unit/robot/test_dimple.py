@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from virtual_robot import VirtualRobot
 
-from icu_common.core.results import Outcome
+from icu_common.core.goals.results import Outcome
 
 
 def test_a_knob_is_turned_by_the_ball_in_its_dimple() -> None:

@@ -11,7 +11,7 @@ import pytest
 from parameter_files import CONFIG
 from virtual_robot import VirtualRobot
 
-from icu_common.core.results import Outcome
+from icu_common.core.goals.results import Outcome
 
 LAYOUTS = sorted(path.stem for path in (CONFIG / "scopes").glob("*.yaml"))
 BEFORE_THE_BALLS_COLOUR = {("mso_dark_6", "CH3")}

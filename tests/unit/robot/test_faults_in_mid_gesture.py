@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from virtual_robot import VirtualRobot
 
-from gantry_driver.core.goal_job import Phase
-from icu_common.core.results import GoalResult, Outcome
+from gantry_driver.core.goals.goal_job import Phase
+from icu_common.core.goals.results import GoalResult, Outcome
 
 LIFTED_M = -0.0006
 """Heights of the tip's ball above this count as up; the play of the stylus's axis is less."""

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from icu_common.core.panel_layout import load_layout
+from icu_common.core.panel.panel_layout import load_layout
 from scope_bench.core.bench import Bench
 from scope_bench.core.configuration import BenchConfig, PanelConfig
 from scope_bench.core.renderer import Renderer

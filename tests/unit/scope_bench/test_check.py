@@ -275,6 +275,16 @@ def test_new_tolerances_follow_from_what_repeated_runs_differ_by() -> None:
     assert new_topic(texts).fields["status[*].values.id"].ignored
 
 
+@pytest.mark.parametrize(
+    ("name", "limit"),
+    [("error_m", 1e-4), ("offset_mm", 0.1), ("angle_deg", 0.05), ("shift_px", 0.05), ("wait_s", 1e-3)],
+)
+def test_the_least_tolerance_of_a_number_has_the_unit_in_its_name(name: str, limit: float) -> None:
+    """The position of a knob is near 0 degrees: a part of it would be less than rounding."""
+    made = new_topic([topic(diagnostics(**{name: "0.0125"})) for _ in range(2)])
+    assert made.fields[f"status[*].values.{name}"].limits == {"absolute": limit}
+
+
 def test_an_expectation_is_the_same_after_writing_and_reading() -> None:
     wanted = Expectation(
         bag="session",

@@ -14,7 +14,7 @@ from types import SimpleNamespace
 import pytest
 
 from scope_bench.adapters import environment, graph_names
-from scope_bench.core.graph_description import GraphError
+from scope_bench.core.startup.graph_description import GraphError
 
 
 @pytest.fixture

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from parameter_files import parameters
 
-from harris_perception.core.harris import HarrisDetector
-from harris_perception.core.panel_state import PanelReader
-from harris_perception.core.recognition import PanelRecogniser
-from harris_perception.core.stylus import StylusConfig, StylusTracker
-from icu_common.core.camera_model import CameraModel, StereoModel
-from icu_common.core.config import from_mapping
-from icu_common.core.panel_layout import load_layout
+from harris_perception.core.corners.harris import HarrisDetector
+from harris_perception.core.recognition.panel_state import PanelReader
+from harris_perception.core.recognition.recognition import PanelRecogniser
+from harris_perception.core.stylus.stylus import StylusConfig, StylusTracker
+from icu_common.core.configuration.config import from_mapping
+from icu_common.core.geometry.camera_model import CameraModel, StereoModel
+from icu_common.core.panel.panel_layout import load_layout
 from scope_bench.core import instrument
 from scope_bench.core.configuration import BenchConfig
 from scope_bench.core.renderer import Moment, Renderer, base_from_panel

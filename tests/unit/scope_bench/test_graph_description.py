@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from scope_bench.core.graph_description import GraphError, load_graph
+from scope_bench.core.startup.graph_description import GraphError, load_graph
 
 TABLE = """\
 scope: dial

@@ -7,11 +7,11 @@ import subprocess
 import sys
 from pathlib import Path
 
-from icu_common.adapters.step_ledger import StepLedger
+from icu_common.adapters.steps.step_ledger import StepLedger
 from scope_bench.adapters.graph_ledger import is_used, new_ledger
 
 ENDED = (
-    "import os, sys\nfrom pathlib import Path\nfrom icu_common.adapters.step_ledger import StepLedger\n"
+    "import os, sys\nfrom pathlib import Path\nfrom icu_common.adapters.steps.step_ledger import StepLedger\n"
     "ledger = StepLedger(Path(sys.argv[1]))\nledger.register()\nledger.time_ns = 7\nos._exit(1)\n"
 )
 
@@ -43,3 +43,18 @@ def test_file_of_another_version_is_replaced(tmp_path: Path) -> None:
     path.write_text("another version")
     with new_ledger(path, simulated=True), contextlib.closing(StepLedger(path)) as found:
         assert found.time_ns == found.origin_ns > 0
+
+
+def test_matches_are_complete_only_when_the_program_says_so(tmp_path: Path) -> None:
+    """bag_check read them between two publishers, and found that no node publishes what is compared."""
+    with contextlib.closing(StepLedger(tmp_path / "steps")) as program:
+        program.register()
+        ((row, _),) = program.processes().items()
+        program.match("/parameter_events", 0)
+        assert not program.is_shown(row)
+        program.match("/corners", 0)
+        program.show()
+        assert program.is_shown(row)
+        program.forget(row)
+        program.register()
+        assert not program.is_shown(row), "the row is another program's now"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from icu_common.core.panel_layout import rgb
+from icu_common.core.panel.panel_layout import rgb
 from scope_bench.core import screen
 from scope_bench.core.instrument import (
     RED,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from icu_common.core.config import ConfigError
+from icu_common.core.configuration.config import ConfigError
 from scope_bench.core.configuration import MechanicsConfig, StylusConfig
 from scope_bench.core.mechanics import Errors, Mechanism, draw_errors
 

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 import yaml
 
-from icu_common.core.camera_model import CameraModel, StereoModel
-from icu_common.core.config import ConfigError
-from icu_common.core.panel_layout import load_layout
+from icu_common.core.configuration.config import ConfigError
+from icu_common.core.geometry.camera_model import CameraModel, StereoModel
+from icu_common.core.panel.panel_layout import load_layout
 from scope_bench.cli import write_calibration
 from scope_bench.core.configuration import BenchConfig, CameraConfig, PanelConfig
 from scope_bench.core.optics import stereo_rig, turn

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from icu_common.core.fiducial import marker_modules
-from icu_common.core.panel_layout import load_layout, parse_layout
-from icu_common.core.stroke_font import text_strokes
+from icu_common.core.geometry.fiducial import marker_modules
+from icu_common.core.panel.panel_layout import load_layout, parse_layout
+from icu_common.core.panel.stroke_font import text_strokes
 from scope_bench.core.panel_texture import Canvas, bgr, draw_face
 
 ROOT = Path(__file__).parents[3]

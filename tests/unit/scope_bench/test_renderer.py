@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
-from icu_common.core.panel_layout import load_layout
+from icu_common.core.panel.panel_layout import load_layout
 from scope_bench.cli import render
 from scope_bench.core.configuration import BenchConfig, CameraConfig, LightConfig
 from scope_bench.core.instrument import InstrumentState, press

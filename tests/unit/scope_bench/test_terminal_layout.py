@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 from small_terminal import SmallTerminal
 
-from icu_common.core.preparation import Cause, Report, Stage
-from scope_bench.core.qr_code import qr_modules
-from scope_bench.core.run_words import (
+from icu_common.core.processes.preparation import Cause, Report, Stage
+from scope_bench.core.startup.qr_code import qr_modules
+from scope_bench.core.startup.run_words import (
     AUTOMATIC_REPEATS,
     RemainingTime,
     failure,
@@ -16,7 +16,7 @@ from scope_bench.core.run_words import (
     repeats_by_itself,
     starting,
 )
-from scope_bench.core.terminal_layout import (
+from scope_bench.core.startup.terminal_layout import (
     Box,
     box_rows,
     height,

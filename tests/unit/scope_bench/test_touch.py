@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from icu_common.core.panel_layout import parse_layout
+from icu_common.core.panel.panel_layout import parse_layout
 from scope_bench.core.touch import FACE, Touch, TouchEvent
 
 LAYOUT = parse_layout(

@@ -7,14 +7,14 @@ import dataclasses
 import numpy as np
 import pytest
 
-from icu_common.core.panel_layout import parse_layout
+from icu_common.core.panel.panel_layout import parse_layout
 from scope_bench.core import view as view_module
 from scope_bench.core.configuration import BenchConfig, CameraConfig, LightConfig, StylusConfig
-from scope_bench.core.optics import Camera, stereo_rig
+from scope_bench.core.optics import Camera, Rays, stereo_rig
 from scope_bench.core.renderer import base_from_panel
 from scope_bench.core.solids import ControlState, cast
 from scope_bench.core.stylus_picture import StylusPainter
-from scope_bench.core.view import Rays, Surfaces, View
+from scope_bench.core.view import Surfaces, View
 
 CLEAR = LightConfig(unevenness=0.0, vignetting=0.0, glare=0.0, blur_px=0.0, noise=0.0)
 CAMERA = CameraConfig()

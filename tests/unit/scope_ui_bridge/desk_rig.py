@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from pinhole import pinhole
 
-from icu_common.core.geometry import Transform
-from icu_common.core.results import GoalResult, Outcome
+from icu_common.core.geometry.geometry import Transform
+from icu_common.core.goals.results import GoalResult, Outcome
 from scope_ui_bridge.core.config import BridgeConfig
 from scope_ui_bridge.core.desk import Desk
 from scope_ui_bridge.core.effects import Broadcast, Effect, Now, Send

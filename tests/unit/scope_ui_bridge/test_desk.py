@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 from unit.scope_ui_bridge.desk_rig import BOOT, Rig, answer, logged, of_type, pose, refusal, selected, shown_selections
 
-from icu_common.core.delays import ResultCode
-from icu_common.core.frames import BASE, CAMERA_LEFT
-from icu_common.core.geometry import Transform
-from icu_common.core.gesture import Gesture, Point, parse_gesture
-from icu_common.core.results import GoalResult, Outcome
+from icu_common.core.geometry.frames import BASE, CAMERA_LEFT
+from icu_common.core.geometry.geometry import Transform
+from icu_common.core.goals.results import GoalResult, Outcome
+from icu_common.core.panel.gesture import Gesture, Point, parse_gesture
+from icu_common.core.processes.delays import ResultCode
 from scope_ui_bridge.core import wire
 from scope_ui_bridge.core.config import BridgeConfig
 from scope_ui_bridge.core.effects import (
@@ -53,9 +53,17 @@ def test_a_control_is_selected_then_pressed_and_its_result_is_shown() -> None:
     assert logged(effects)[0]["status"] == "sent"
     done = GoalResult(goal_id=gesture.id, goal="", outcome=Outcome.ACCEPTED)
     assert logged(rig.desk.result(done, rig.now))[0]["status"] == "accepted"
-    done = GoalResult(goal_id=gesture.id, goal="", outcome=Outcome.REACHED, error_m=0.000234, duration_s=3.456)
+    done = GoalResult(
+        goal_id=gesture.id,
+        goal="",
+        outcome=Outcome.REACHED,
+        error_m=0.000234,
+        duration_s=3.456,
+        details=(("error_95_m", "0.000310"),),
+    )
     effects = rig.desk.result(done, rig.now)
     entry = logged(effects)[0]
+    assert entry["bound_mm"] == of_type(effects, Record)[0].record["bound_mm"] == 0.31
     assert (entry["status"], entry["error_mm"], entry["duration_s"]) == ("reached", 0.234, 3.46)
     assert of_type(effects, Record)[0].record["error_mm"] == 0.234
     assert not rig.desk.moving
@@ -151,8 +159,10 @@ def test_results_of_others_are_shown_too() -> None:
         "status": "accepted",
         "reason": "",
         "error_mm": None,
+        "bound_mm": None,
         "duration_s": None,
         "effect": "",
+        "touch": "",
     }
     assert rig.desk.moving
     for goal in ("press:UNKNOWN", "press:0.1,0.2@base_link", "move to (0.1, 0.2, 0) m in base_link"):

@@ -8,9 +8,9 @@ from typing import Any
 import pytest
 from unit.scope_ui_bridge.desk_rig import FACES, Rig, answer, of_type, pose, refusal, selected
 
-from icu_common.core.frames import PANEL
-from icu_common.core.gesture import parse_gesture
-from icu_common.core.panel_state import ControlSeen, PanelSeen
+from icu_common.core.geometry.frames import PANEL
+from icu_common.core.panel.gesture import parse_gesture
+from icu_common.core.panel.panel_state import ControlSeen, PanelSeen
 from scope_ui_bridge.core.effects import Broadcast, SendCommand
 from scope_ui_bridge.core.scene import Face
 

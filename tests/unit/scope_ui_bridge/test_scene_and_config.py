@@ -9,8 +9,8 @@ import pytest
 from pinhole import pinhole as camera
 from unit.scope_ui_bridge.desk_rig import FACES, Rig, pose, scene
 
-from icu_common.core.config import ConfigError
-from icu_common.core.geometry import Transform
+from icu_common.core.configuration.config import ConfigError
+from icu_common.core.geometry.geometry import Transform
 from scope_ui_bridge.core.config import BridgeConfig
 from scope_ui_bridge.core.scene import Scene, labels_of
 

@@ -9,9 +9,9 @@ from typing import Any
 import pytest
 from unit.scope_ui_bridge.desk_rig import Rig, answer, logged, of_type, refusal
 
-from icu_common.core.panel_state import ControlSeen, PanelSeen
-from icu_common.core.results import GoalResult, Outcome
-from icu_common.core.sequence import SequenceError, parse_file, parse_steps
+from icu_common.core.goals.results import GoalResult, Outcome
+from icu_common.core.goals.sequence import SequenceError, parse_file, parse_steps
+from icu_common.core.panel.panel_state import ControlSeen, PanelSeen
 from scope_ui_bridge.core.effects import Broadcast, Effect, SendCommand, SendSequence, StopNow
 from scope_ui_bridge.core.sequencing import stored_name
 

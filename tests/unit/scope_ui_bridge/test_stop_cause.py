@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 from unit.scope_ui_bridge.desk_rig import Rig, of_type
 
-from icu_common.core.results import GoalResult, Outcome
+from icu_common.core.goals.results import GoalResult, Outcome
 from scope_ui_bridge.core.effects import Ping, StopNow
 
 REQUESTED = "stopped: stop requested"

@@ -11,7 +11,7 @@ import pytest
 from unit.scope_ui_bridge import web_rig
 from unit.scope_ui_bridge.desk_rig import Rig, answer, logged, of_type, refusal
 
-from icu_common.core.results import GoalResult, Outcome
+from icu_common.core.goals.results import GoalResult, Outcome
 from scope_ui_bridge.core.effects import Broadcast, Effect, HoldPicture, Record, Send, SendTeaching
 from scope_ui_bridge.core.passwords import Role
 from scope_ui_bridge.core.sign_in import SignIn

@@ -16,8 +16,8 @@ import numpy as np
 import pytest
 from unit.scope_ui_bridge.web_rig import WITHIN_S, Page, Rig, page, until, with_rig
 
-from icu_common.core.config import ConfigError
-from icu_common.core.results import GoalResult, Outcome
+from icu_common.core.configuration.config import ConfigError
+from icu_common.core.goals.results import GoalResult, Outcome
 from scope_ui_bridge.adapters.front_door import COOKIE, PAGE
 from scope_ui_bridge.adapters.secret_files import AuditFile
 from scope_ui_bridge.core import desk

@@ -1,1 +1,1 @@
-"""What touches the world; no rclpy."""
+"""Input and output: serial port, processes, sockets and files; no rclpy."""

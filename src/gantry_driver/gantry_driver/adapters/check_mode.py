@@ -13,18 +13,18 @@ from gantry_driver.adapters.serial_port import open_port
 
 ANSWER_WITHIN_S = 5.0
 BANNER_WAIT_S = 2.5
-"""An Arduino is reset by the opening of its port and has then been in its boot loader for up to two seconds."""
+"""Maximum seconds to wait for a banner: opening the port resets an Arduino, whose boot loader runs for up to 2 s."""
 UNASKED_S = 0.2
-"""For the rest of a line that comes unasked."""
+"""Maximum seconds to wait for the rest of an unrequested line."""
 RESET_HINT_S = 1.0
-"""After an alarm GRBL hears no reset for half a second, until it asks for one."""
+"""Maximum seconds to wait until GRBL requests a reset: for half a second after an alarm it ignores resets."""
 BEYOND = "G21G90G53G0X99999"
-"""Twenty times the longest travel that a machine can be configured with."""
+"""Move to a target twenty times beyond the longest travel that can be configured."""
 _ANSWER = re.compile(r"ok|error:\d+|ALARM:\d+")
 
 
 class CheckFailed(Exception):
-    """The board did not do what a GRBL in check mode does; the message says what."""
+    """The board did not behave like GRBL in check mode; the message gives the difference."""
 
 
 def dry_run(
@@ -37,26 +37,26 @@ def dry_run(
     dtr: bool = True,
     rts: bool = True,
 ) -> Generator[tuple[int, int]]:
-    """Send lines in check mode, one by one, and yield (index, error number) of each that the board refuses.
+    """Send lines in check mode, one by one, and yield (index, error number) of each one that the board rejects.
 
-    The board is unlocked for it and left as after a reset; one that was locked before is locked again.
+    The board is unlocked for the check and left as after a reset; a board that was locked is locked again.
 
     Parameters
     ----------
     on_line
-        Called with the number of lines done.
+        Called with the number of checked lines.
     before
-        Lines that let the board's parser stand, with the modes that it has there, where the program begins.
+        Lines that bring the board's parser to the position and the modes at the program's start.
     dtr, rts
         Levels of the port's control lines.
 
     Raises
     ------
     CheckFailed
-        When the board does not answer, does not enter the mode, raises an alarm (a soft limit does), or cannot be
+        If the board does not answer, does not enter the mode, raises an alarm (for example a soft limit), or cannot be
         locked again.
     serial.SerialException
-        When the port cannot be opened, for example because another program has it.
+        If the port cannot be opened, for example because another program uses it.
     """
     with open_port(port_name, baud, dtr=dtr, rts=rts, timeout_s=0.1) as port:
         _await_reset(port)
@@ -65,7 +65,7 @@ def dry_run(
             for command in ("$X", "$C"):
                 if (answer := _ask(port, command)) != "ok":
                     raise CheckFailed(f"{command} was answered by {answer}")
-            # Whatever has been answered: to a board in another mode the lines would be no dry run.
+            # Whatever the answers were: on a board in another mode the lines would be no dry run.
             report = _report(port)
             if not report.startswith("<Check"):
                 raise CheckFailed(f"after $C the board reports {report or 'nothing'}, <Check is needed")
@@ -80,7 +80,7 @@ def dry_run(
                         yield number, int(answer.partition(":")[2])
                     on_line(number + 1)
         finally:
-            # Leaves check mode, whatever was answered, and empties the buffer.
+            # Leaves check mode, whatever the answers were, and empties the buffer.
             port.write(b"\x18")
             port.flush()
             if locked:
@@ -88,7 +88,7 @@ def dry_run(
 
 
 def _await_reset(port: serial.Serial) -> None:
-    """Wait for the banner; a board that goes on running when its port is opened is reset, unless it moves."""
+    """Wait for the banner; reset a board that does not restart when its port is opened, unless it moves."""
     if _read_line(port, _is_banner, BANNER_WAIT_S):
         return
     report = _report(port)
@@ -109,10 +109,10 @@ def _state(port: serial.Serial) -> str:
 
 
 def _lock(port: serial.Serial) -> None:
-    """Lock a board again after its reset, as it was before ``$X``, since it has not been homed.
+    """Lock a board again after its reset, as it was before ``$X``, because it has not been homed.
 
-    A target beyond the soft limits raises their alarm in check mode as well, and the lock stays after its reset.
-    Nothing moves, and the motors keep their power, which ``$SLP`` would take.
+    A target beyond the soft limits causes their alarm in check mode as well, and the lock remains after the reset.
+    Nothing moves, and the motors keep their power, which ``$SLP`` would switch off.
     """
     if _read_line(port, _is_banner, ANSWER_WITHIN_S) and _state(port) == "Idle":
         with contextlib.suppress(CheckFailed):
@@ -132,7 +132,7 @@ def _is_banner(text: str) -> bool:
 
 
 def _ask(port: serial.Serial, line: str) -> str:
-    # A board that has reset itself has left check mode: nothing more may be sent to it.
+    # A board that has reset itself has left check mode: no further line may be sent to it.
     if port.in_waiting and _read_line(port, _is_banner, UNASKED_S):
         raise CheckFailed(f"the board was reset by itself before line {line!r}")
     port.write(line.encode("ascii") + b"\n")
@@ -145,7 +145,7 @@ def _ask(port: serial.Serial, line: str) -> str:
 
 
 def _read_line(port: serial.Serial, wanted: Callable[[str], bool], within_s: float) -> str:
-    """Return the first line that is wanted, empty if none comes in time."""
+    """Return the first line that is wanted, empty if none arrives in time."""
     end, buffer = time.monotonic() + within_s, b""
     while time.monotonic() < end:
         buffer += port.read_until(b"\n")

@@ -1,4 +1,4 @@
-"""The serial port under a :class:`~gantry_driver.core.machine.Machine`: one thread that polls port and wake pipe.
+"""The serial port under a :class:`~gantry_driver.core.machine.machine.Machine`: one thread polls port and wake pipe.
 
 A stop does not wait for that thread: it writes ``!`` to the port from the calling thread.
 """
@@ -16,12 +16,12 @@ from typing import TypeVar
 
 import serial
 
-from gantry_driver.adapters.serial_port import open_port
+from gantry_driver.adapters.serial_port import hang_up, open_port
 from gantry_driver.adapters.stylus_record import StylusRecord
 from gantry_driver.adapters.wake_pipe import WakePipe
-from gantry_driver.core.machine import Machine
-from gantry_driver.core.machine_states import CloseRequested, Event, Note
-from gantry_driver.core.session import HOLD
+from gantry_driver.core.grbl.session import HOLD
+from gantry_driver.core.machine.machine import Machine
+from gantry_driver.core.machine.machine_states import CloseRequested, Event, Note
 from icu_common.adapters.real_time import steady_s
 
 T = TypeVar("T")
@@ -29,29 +29,31 @@ T = TypeVar("T")
 
 FIRST_RETRY_S, LAST_RETRY_S = 0.1, 1.0
 LONGEST_WAIT_S = 0.1
-"""Longest sleep of the thread in wall time."""
+"""Maximum sleep of the thread in seconds of wall time."""
 WAY_OUT_S = 6.0
-"""How long a link that is closed waits after the hold, for the board's reset and the stylus's retreat."""
+"""Seconds that a closing link waits, after the hold, for the board's reset and the stylus's retreat."""
 
 
 class SerialLink:
-    """Runs a machine on a serial port: opens it, feeds it, and opens it anew when it has gone.
+    """Runs a machine on a serial port: opens the port, exchanges bytes, and reopens a port that has disappeared.
 
     Parameters
     ----------
     machine
-        Used under this object's lock only; see :meth:`call`.
+        Used only under this object's lock; see :meth:`call`.
     port, baud
-        Device and line rate; the port is locked for others (``exclusive``).
+        Device and baud rate; the port is locked for other programs (``exclusive``).
     on_events
-        Called in the link's thread with what has happened, in order and never concurrently.
+        Called in the link's thread with the machine's events, in order and never concurrently.
     clock
         The machine's time in seconds: the steady clock, or that of a simulation, which is 0 until it is known.
     on_turn
         Called in the link's thread at the end of each turn with the number of the newest :meth:`wake` that the turn has
-        seen, and the bytes that it has read and written.
+        seen, and the numbers of bytes that it has read and written.
     record
-        Keeps that the stylus may be down; written before the bytes that may lower it.
+        Records that the stylus may be down; written before the bytes that may lower it.
+    hangs_up
+        Whether closing the port lowers its DTR line; None for the port's setting when it is opened.
     """
 
     def __init__(
@@ -64,7 +66,9 @@ class SerialLink:
         clock: Callable[[], float] = steady_s,
         on_turn: Callable[[int, int, int], None] | None = None,
         record: StylusRecord | None = None,
+        hangs_up: bool | None = None,
     ) -> None:
+        self.hangs_up = hangs_up
         self._record = record if record is not None else StylusRecord(None)
         self._recorded: bool | None = None
         self._clock, self._on_turn = clock, on_turn
@@ -86,6 +90,8 @@ class SerialLink:
         self._writing = False
         self._thread = threading.Thread(target=self._run, name="serial-link", daemon=True)
         self._stop_asked = ""
+        self.opened: os.stat_result | None = None
+        """File status of the last opened device."""
 
     def start(self) -> None:
         """Start the thread; the port may appear later."""
@@ -93,13 +99,13 @@ class SerialLink:
 
     @property
     def alive(self) -> bool:
-        """Whether the thread that reads and writes the port runs; without it nobody stops the board."""
+        """Whether the thread that reads and writes the port runs; without it nothing stops the board."""
         return self._thread.is_alive()
 
     def call(self, action: Callable[[Machine, float], T]) -> T:
-        """Run ``action(machine, now)`` under the lock and let the thread send what follows from it.
+        """Run ``action(machine, now)`` under the lock, and let the thread send the resulting bytes.
 
-        Before :meth:`start` there is no port, and what follows is said at once.
+        Before :meth:`start` there is no port, and the resulting events are passed on at once.
         """
         with self._changed:
             result = action(self._machine, self._now())
@@ -109,11 +115,11 @@ class SerialLink:
         return result
 
     def stop(self, reason: str) -> None:
-        """Write a feed hold to the port now, past all queues, then let the machine go its way down.
+        """Write a feed hold to the port now, ahead of all queues, then let the machine carry out its stop sequence.
 
-        Only a retreat of the stylus that is under way is not held but finishes.
+        A retreat of the stylus that is in progress is not held; it finishes.
         """
-        # Read without the lock, which may be busy: where the two cross, the machine holds, resets and lifts once more.
+        # Read without the lock, which may be busy: in a race, the machine holds, resets and lifts once more.
         self._stop_asked = reason
         written = not self._machine.retreating and self._write_hold()
         self.call(lambda machine, now: self._take_stop(machine, now, hold_written=written))
@@ -124,7 +130,7 @@ class SerialLink:
             return self._changed.wait_for(lambda: condition(self._machine), within_s)
 
     def close(self, reason: str) -> None:
-        """Bring the machine to rest with the stylus up, then close the port; what takes too long is told."""
+        """Bring the machine to rest with the stylus up, then close the port; report if this takes too long."""
         if self._closed:
             return
         self._closed = True
@@ -157,12 +163,12 @@ class SerialLink:
         return self._wakes
 
     def wake(self) -> None:
-        """Let the thread look at the clock and at what is due."""
+        """Make the thread read the clock and do what is due."""
         self._wakes += 1
         self._wake_pipe.wake()
 
     def _now(self) -> float:
-        """Return the machine's time, and let the machine know the wall's."""
+        """Return the machine's time, and pass the wall time to the machine."""
         self._machine.wall_s = steady_s()
         return self._clock()
 
@@ -176,7 +182,7 @@ class SerialLink:
         if fd < 0:
             return False
         try:
-            # Up to a receive buffer of lines may wait in the kernel, 11 ms at 115200 baud; a reset follows anyway.
+            # Lines up to the size of a receive buffer may wait in the kernel, 11 ms at 115200 baud; a reset follows.
             termios.tcflush(fd, termios.TCOFLUSH)
             self._written_bytes += os.write(fd, HOLD)
         except (OSError, termios.error):
@@ -190,10 +196,10 @@ class SerialLink:
             try:
                 self._step()
             except Exception as error:
-                # Whatever it is, a thread that dies would leave a board that nobody stops.
+                # Whatever the error, nothing would stop the board after the end of this thread.
                 self._write_hold()
                 self._lost(f"error in the driver: {error!r}")
-                # Who takes the events may be what failed, and fails again.
+                # The receiver of the events may be the cause, and fail again.
                 with contextlib.suppress(Exception):
                     self._publish()
 
@@ -206,7 +212,7 @@ class SerialLink:
         elif not now or now < self._next_try:
             self._wait(LONGEST_WAIT_S if not now else self._next_try - now)
         else:
-            # A board that resets at every opening must not be opened in a tight loop.
+            # A board that resets at each opening must not be opened in a tight loop.
             self._next_try = now + self._retry_s
             self._retry_s = min(2.0 * self._retry_s, LAST_RETRY_S)
             self._open()
@@ -223,11 +229,16 @@ class SerialLink:
         except (serial.SerialException, OSError, ValueError) as error:
             self._lost(f"{self._port_name}: {_plain(error)}")
             return
-        # A pseudo-terminal and many USB adapters know no low-latency mode; it only shortens the way.
+        # A pseudo-terminal and many USB adapters have no low-latency mode, which only reduces the delay.
         with contextlib.suppress(ValueError, OSError, AttributeError):
             port.set_low_latency_mode(True)
         with self._changed:
             self._port, self._fd = port, port.fileno()
+            self.opened = os.fstat(self._fd)
+            # The kernel closes the port of a killed process. DTR stays high then, and a board that is reset by its edge
+            # keeps its position until the next guard has lifted the stylus.
+            before = hang_up(self._fd, False)
+            self.hangs_up = before if self.hangs_up is None else self.hangs_up
             os.set_blocking(self._fd, False)
             self._poller.register(self._fd, select.POLLIN)
             self._writing = False
@@ -240,7 +251,7 @@ class SerialLink:
         with self._changed:
             now = self._now()
             wait_s = max(0.0, self._machine.deadline(now) - now)
-        # The heartbeat is judged by the wall clock, also while simulated time stands still.
+        # The age of the heartbeat counts in wall time, also while simulated time is paused.
         readable = self._wait(min(wait_s, LONGEST_WAIT_S))
         try:
             data = self._read() if readable else b""
@@ -251,7 +262,7 @@ class SerialLink:
             now = self._now()
             self._read_bytes += len(data)
             if data:
-                # The board may show the hold before who asked for it had the lock; it is no hold of the board's own.
+                # The board may report the hold before the caller of stop() gets the lock; it is then not unrequested.
                 self._take_stop(self._machine, now, hold_written=False)
                 self._machine.receive(data, now)
             self._machine.tick(now)
@@ -265,7 +276,7 @@ class SerialLink:
             self._lost(f"{self._port_name}: {_plain(error)}")
 
     def _wait(self, seconds: float) -> bool:
-        """Wait at most ``seconds``; return whether the port has something to say, be it that it has gone."""
+        """Wait at most ``seconds``; return whether the port has bytes or has disappeared."""
         if self._fd >= 0 and self._writing is not bool(self._pending):
             self._writing = bool(self._pending)
             self._poller.modify(self._fd, select.POLLIN | (select.POLLOUT if self._writing else 0))
@@ -280,7 +291,7 @@ class SerialLink:
             data = os.read(self._fd, 65536)
         except BlockingIOError:
             return b""
-        # The terminal is set to VMIN = 0, so that an empty answer alone would not mean that the device has gone.
+        # With VMIN = 0, as set, an empty answer alone would not mean that the device has disappeared.
         if not data:
             raise OSError(errno.EIO, "the device has gone")
         return data
@@ -293,7 +304,7 @@ class SerialLink:
                 del self._pending[:count]
 
     def _keep(self, may_be_down: bool) -> None:
-        """Write down whether the stylus may be down, before any byte goes out that could lower it."""
+        """Record whether the stylus may be down, before any byte is written that could lower it."""
         if may_be_down is self._recorded:
             return
         self._recorded = may_be_down
@@ -315,6 +326,8 @@ class SerialLink:
             self._pending.clear()
             if fd >= 0:
                 self._poller.unregister(fd)
+                if self.hangs_up:
+                    hang_up(fd, True)
         if port is not None:
             with contextlib.suppress(OSError, serial.SerialException, termios.error):
                 port.close()
@@ -325,11 +338,11 @@ class SerialLink:
         if events:
             self._on_events(events)
         if any(isinstance(event, CloseRequested) for event in events):
-            self._close_port()  # last: Linux waits half a minute for a board that takes no byte any more
+            self._close_port()  # last: Linux waits half a minute for a board that accepts no more bytes
 
 
 def _plain(error: Exception) -> str:
     number = getattr(error, "errno", None)
-    if number == errno.EAGAIN:  # of the lock
+    if number == errno.EAGAIN:  # another program has the lock
         return "in use by another program, as while a driver runs"
     return os.strerror(number) if number else str(error)

@@ -1,4 +1,4 @@
-"""A small file that keeps, over restarts of the driver, that the stylus may be down."""
+"""A small file that records, across restarts of the driver, that the stylus may be down."""
 
 from __future__ import annotations
 
@@ -8,19 +8,19 @@ DOWN, UP = "down", "up"
 
 
 class StylusRecord:
-    """Reads and writes the file; only what ``up`` is written in counts as up.
+    """Reads and writes the file; only a file that contains ``up`` counts as up.
 
     Parameters
     ----------
     path
-        The file; its folder is made when it is written. None: nothing is kept.
+        The file; its folder is created with it. None: nothing is recorded.
     """
 
     def __init__(self, path: Path | None) -> None:
         self._path = path
 
     def may_be_down(self) -> bool:
-        """Return what the last driver left: also True for a file that cannot be read, False where there is none."""
+        """Return the record of the last driver: True also for an unreadable file, False if there is none."""
         if self._path is None:
             return False
         try:
@@ -30,8 +30,13 @@ class StylusRecord:
         except (OSError, UnicodeError):
             return True
 
+    def remove_if_up(self) -> None:
+        """Delete the file unless the stylus may be down."""
+        if self._path is not None and not self.may_be_down():
+            self._path.unlink(missing_ok=True)
+
     def write(self, may_be_down: bool) -> None:
-        """Replace the file at once, so that a kill leaves the old or the new one.
+        """Replace the file atomically, so that a kill leaves the old or the new one.
 
         Raises
         ------

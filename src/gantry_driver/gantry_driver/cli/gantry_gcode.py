@@ -27,22 +27,22 @@ import serial
 
 from gantry_driver.adapters.check_mode import CheckFailed, dry_run
 from gantry_driver.adapters.serial_link import SerialLink
-from gantry_driver.core.gcode_check import CheckedLine, GcodeError, ProgramChecker
-from gantry_driver.core.grbl_messages import error_text
-from gantry_driver.core.machine import Machine
-from gantry_driver.core.machine_config import DriverConfig
-from gantry_driver.core.machine_states import Answered, Event, Note, StateChanged
-from gantry_driver.core.progress import duration_text, progress_text
-from gantry_driver.core.session import plain
-from gantry_driver.core.settings_profile import ProfileError, differences, parse_profile, profile_text
-from gantry_driver.core.streaming import PROGRAM_MODES
-from gantry_driver.core.trajectory_gcode import TrajectoryError
-from icu_common.adapters.program_end import end_signals, ends_quietly, help_text
+from gantry_driver.core.goals.progress import duration_text, progress_text
+from gantry_driver.core.grbl.gcode_check import CheckedLine, GcodeError, ProgramChecker
+from gantry_driver.core.grbl.grbl_messages import error_text
+from gantry_driver.core.grbl.session import plain
+from gantry_driver.core.grbl.settings_profile import ProfileError, differences, parse_profile, profile_text
+from gantry_driver.core.grbl.trajectory_gcode import TrajectoryError
+from gantry_driver.core.machine.machine import Machine
+from gantry_driver.core.machine.machine_config import DriverConfig
+from gantry_driver.core.machine.machine_states import Answered, Event, Note, StateChanged
+from gantry_driver.core.machine.streaming import PROGRAM_MODES
+from icu_common.adapters.processes.program_end import end_signals, ends_quietly, help_text
 from icu_common.adapters.terminal_keys import terminal_keys
-from icu_common.core.config import ConfigError, from_mapping
-from icu_common.core.option_bounds import named_path
-from icu_common.core.parameter_file import values_for
-from icu_common.core.results import GoalResult, Outcome
+from icu_common.core.configuration.config import ConfigError, from_mapping
+from icu_common.core.configuration.option_bounds import named_path
+from icu_common.core.configuration.parameter_file import values_for
+from icu_common.core.goals.results import GoalResult, Outcome
 
 DONE, FAILED, USAGE = 0, 1, 2
 """Exit codes."""
@@ -51,18 +51,18 @@ BROKEN = ("stopped", "alarm", "mismatch")
 
 
 class Failed(Exception):
-    """The program cannot go on; the message says why."""
+    """The program cannot continue; the message gives the reason."""
 
 
 def read_config(params: Sequence[Path], **options: str | bool | None) -> DriverConfig:
-    """Return the driver's configuration, from ROS parameter files, the later on top, as its node reads them.
+    """Return the driver's configuration from ROS parameter files, as its node reads them; later files take precedence.
 
     Parameters
     ----------
     params
         The files.
     options
-        Parameters that the command line gives, on top of the files; None where it gives none.
+        Parameters from the command line, which override the files; None for those not given.
 
     Raises
     ------
@@ -75,7 +75,7 @@ def read_config(params: Sequence[Path], **options: str | bool | None) -> DriverC
 
 
 def check(source: Sequence[str], config: DriverConfig) -> list[CheckedLine]:
-    """Return the lines to send, checked as from the homed position.
+    """Return the lines to send, checked for a start at the homed position.
 
     Raises
     ------
@@ -87,7 +87,7 @@ def check(source: Sequence[str], config: DriverConfig) -> list[CheckedLine]:
 
 
 class Display:
-    """One line that is written anew on a terminal; elsewhere a line at every tenth of the way."""
+    """One line that is rewritten on a terminal; without a terminal, a line at every tenth of the program."""
 
     def __init__(self) -> None:
         self._live = sys.stdout.isatty()
@@ -95,7 +95,7 @@ class Display:
         self._tenth = -1
 
     def show(self, text: str, share: float) -> None:
-        """Show the state; ``share`` is how much is done, 0 to 1."""
+        """Show the state; ``share`` is the finished fraction, 0 to 1."""
         if self._live:
             if text != self._shown:
                 print(f"\r\x1b[K{text}", end="", flush=True)
@@ -105,12 +105,12 @@ class Display:
         self._shown = text
 
     def say(self, text: str) -> None:
-        """Print a line that stays."""
+        """Print a line that is not overwritten."""
         print(f"\r\x1b[K{text}" if self._live else text, flush=True)
 
 
 class Runner:
-    """Runs one program on one port; the operator's heartbeat comes from its own turns, so a hang here is a hold."""
+    """Runs one program on one port; its own loop sends the operator's heartbeat, so a hang holds the machine."""
 
     def __init__(self, config: DriverConfig, display: Display) -> None:
         self._display = display
@@ -122,7 +122,7 @@ class Runner:
         self._link.start()
 
     def run(self, source: Sequence[str], lines: Sequence[CheckedLine], key: Callable[[], str]) -> GoalResult:
-        """Home, stream, and return the answer; ``key`` returns what was typed since the last turn.
+        """Home, stream, and return the answer; ``key`` returns the keys typed since the last turn.
 
         Raises
         ------
@@ -149,7 +149,7 @@ class Runner:
         return self._result
 
     def _start(self, source: Sequence[str]) -> None:
-        """Check the program from here and start it; the check, which may take seconds, does not hold the link up."""
+        """Check the program from the current position and start it; a check of seconds does not block the link."""
         try:
             checker = self._link.call(lambda machine, now: machine.program_checker())
             checked = list(checker.check_all(source))
@@ -160,7 +160,7 @@ class Runner:
             machine.heartbeat(now)
             machine.run_checked("program", checker, checked, now)
 
-        # A visit of the garbage collector to so many lines can take longer than a heartbeat may.
+        # A garbage collection with a long program in memory can take longer than the heartbeat's time-out.
         gc.collect()
         gc.freeze()
         self._link.call(start)
@@ -176,11 +176,11 @@ class Runner:
         return self._machine.settings
 
     def expected_settings(self) -> dict[int, float]:
-        """Return what the settings of the board that is connected must be."""
+        """Return the required settings of the connected board."""
         return self._machine.expected_settings()
 
     def write(self, profile: Mapping[int, float]) -> list[str]:
-        """Write what differs from a profile and read it back; return what the board did not keep.
+        """Write the settings that differ from a profile and read them back; return those that the board did not keep.
 
         Raises
         ------
@@ -198,7 +198,7 @@ class Runner:
             raise Failed(f"the board is {self._machine.state_text}")
 
     def close(self) -> None:
-        """Hold if anything moves, lift the stylus, and close the port; nothing interrupts that."""
+        """Hold a moving machine, lift the stylus, and close the port; nothing interrupts this."""
         _on_signals(signal.SIG_IGN)
         self._link.close("interrupted")
         self._turn()
@@ -225,7 +225,8 @@ class Runner:
     def _on_events(self, events: list[Event]) -> None:
         for event in events:
             if isinstance(event, StateChanged):
-                self._texts.append(event.text)
+                if event.logged:
+                    self._texts.append(event.text)
             elif isinstance(event, Note):
                 self._texts.append(f"{event.level}: {event.text}")
             elif isinstance(event, Answered) and event.result.outcome is not Outcome.ACCEPTED:
@@ -255,7 +256,7 @@ def run_program(source: Sequence[str], lines: Sequence[CheckedLine], config: Dri
 
 
 def run_settings(config: DriverConfig, *, save: Path | None, profile: Mapping[int, float] | None) -> int:
-    """Compare, keep or write the board's settings; ``profile`` is what to write."""
+    """Compare, save or write the board's settings; ``profile`` has the settings to write."""
     runner = Runner(config, Display())
     try:
         found = runner.settings()
@@ -287,13 +288,13 @@ def run_dry(name: str, lines: Sequence[CheckedLine], config: DriverConfig) -> in
     def show(done: int) -> None:
         display.show(progress_text(done, ends, "dry run"), done / max(len(lines), 1))
 
-    # A board that is not homed counts from 0; in check mode a move only sets its parser's place.
+    # A board that is not homed counts from 0; in check mode a move only sets the position of its parser.
     x, y, z = map(plain, config.machine.homed_mpos_mm())
     before = [*PROGRAM_MODES, f"X{x}Y{y}Z{z}G53G0"]
     try:
         texts = [line.text for line in lines]
         checked = dry_run(config.port, config.baud, texts, show, before=before, dtr=config.dtr, rts=config.rts)
-        with closing(checked):  # which leaves check mode
+        with closing(checked):  # closing leaves check mode
             for index, code in checked:
                 refused += 1
                 display.say(f"{name}:{lines[index].number}:1: the board answers {error_text(code)}")
@@ -341,25 +342,25 @@ def make_parser() -> argparse.ArgumentParser:
 
 
 def _on_signals(what: Callable[[int, FrameType | None], None] | signal.Handlers) -> None:
-    for number in (*end_signals(), signal.SIGTSTP):  # a program put aside by Ctrl-Z could not hold
+    for number in (*end_signals(), signal.SIGTSTP):  # a program suspended by Ctrl-Z could not hold the machine
         signal.signal(number, what)
 
 
 def _interrupt(number: int, frame: FrameType | None) -> None:
-    _on_signals(signal.SIG_IGN)  # People press again while the stylus goes up; that must not end its way.
+    _on_signals(signal.SIG_IGN)  # People press Ctrl-C again while the stylus rises; that must not end its retreat.
     raise KeyboardInterrupt
 
 
 @ends_quietly
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Check, then run; 0 done, 1 refused, stopped or failed, 2 usage."""
+    """Check, then run; exit code 0 done, 1 rejected, stopped or failed, 2 usage."""
     given = make_parser().parse_args(arguments)
     try:
         config = read_config(given.params, port=given.port, dtr=given.dtr, rts=given.rts)
         if given.command == "settings" and given.write and not given.params:
             raise ConfigError("--write: the configured machine is named by --params, once for each of its files")
         name = given.file if given.command == "run" else given.write_file
-        # To a board only these are ends of lines; what splitlines() takes for one besides may stand in a comment.
+        # Only these end a line for a board; the other line ends of splitlines() may occur in a comment.
         source = name.read_text(encoding="utf-8-sig", errors="replace").split("\n") if name else []
         profile = parse_profile(source) if given.command == "settings" and name else None
     except ProfileError as error:
@@ -368,7 +369,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except (ConfigError, OSError) as error:
         print(f"error: {error}", file=sys.stderr)
         return USAGE
-    # A shell that starts a program in the background lets it ignore SIGINT; one that moves a machine must not.
+    # A shell makes its background programs ignore SIGINT; a program that moves a machine must not ignore it.
     _on_signals(_interrupt)
     if given.command == "settings":
         if not given.params and name is None and given.save is None:

@@ -29,24 +29,25 @@ from gantry_driver.cli.operator_session import (
     say,
     with_negatives,
 )
-from gantry_driver.core.goal_job import WORKING
-from icu_common.adapters.program_end import ends_quietly
-from icu_common.core.delays import ResultCode
-from icu_common.core.frames import BASE, CAMERA_LEFT, PANEL
-from icu_common.core.gesture import Gesture, GestureError, Point, parse_gesture
-from icu_common.core.results import GoalResult, Outcome
+from gantry_driver.core.goals.goal_job import WORKING
+from icu_common.adapters.processes.program_end import ends_quietly
+from icu_common.core.geometry.frames import BASE, CAMERA_LEFT, PANEL
+from icu_common.core.goals.results import GoalResult, Outcome
+from icu_common.core.panel.gesture import Gesture, GestureError, Point, parse_gesture
+from icu_common.core.processes.delays import ResultCode
 from icu_common.nodes import qos
-from icu_common.nodes.conversions import header, point_message
+from icu_common.nodes.messages.heads import header
+from icu_common.nodes.messages.places import point_message
 from icu_common.nodes.runtime import own_arguments
 
 STOP_ANSWER_S = 3.0
 STALE_TRIES = 3
-"""Maximum number of times that a goal is sent which the controller rejects because it arrived too late."""
+"""Maximum number of tries for a goal that the controller rejects because it arrived too late."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Request:
-    """What the arguments ask for: a move in base_link (``xyz`` in metres), or a gesture."""
+    """Request in the arguments: a move in base_link (``xyz`` in metres), or a gesture."""
 
     xyz: tuple[float, float, float] | None = None
     gesture: Gesture | None = None
@@ -59,7 +60,7 @@ def parse(arguments: Sequence[str]) -> Request:
     Raises
     ------
     SystemExit
-        With code 2 and the usage on wrong arguments, as argparse does.
+        With code 2 and the usage for wrong arguments, as argparse does.
     """
     parser = argparse.ArgumentParser(
         prog="gantry_goal",
@@ -116,7 +117,7 @@ def parse(arguments: Sequence[str]) -> Request:
 
 
 def _gesture(given: argparse.Namespace) -> tuple[str, str]:
-    """Return the gesture's name, and its argument as the grammar has it."""
+    """Return the gesture's name, and its argument in the form of the grammar."""
     if given.drag_to is not None:
         x, y = given.drag_to
         return "drag", f":{x!r},{y!r}@{given.frame or (PANEL if given.control else BASE)}"
@@ -140,12 +141,12 @@ def carry_out(session: OperatorSession, request: Request) -> int:
         for count in range(1, STALE_TRIES + 1):
             if request.gesture is None:
                 assert request.xyz is not None
-                # The stamp is the goal's name, and simulated time may stand still between two tries.
+                # The stamp is the goal's name, and simulated time may be paused between two tries.
                 stamp = max(stamp + 1, session.now_ns())
                 goal_id = str(stamp)
                 points.publish(point_message(request.xyz, header(stamp, BASE)))
             else:
-                # An answer to an earlier try must not be taken for one to this.
+                # An answer to an earlier try must not count as one to this try.
                 gesture = replace(request.gesture, id=request.gesture.id + (f"-{count}" if count > 1 else ""))
                 goal_id = gesture.id
                 commands.publish(String(data=gesture.text()))
@@ -161,7 +162,7 @@ def carry_out(session: OperatorSession, request: Request) -> int:
     except TimedOut as error:
         complain(str(error))
         if goal_id:
-            # Who gives up on a goal must not leave it running without an operator.
+            # A program that abandons a goal must not leave it running without an operator.
             session.stop()
         return TIMED_OUT
     except Interrupted:
@@ -175,7 +176,7 @@ def _follow(session: OperatorSession, goal_id: str, until: float, *, stopping: b
         nonlocal shown
         mine = [result for result in session.results if result.goal_id == goal_id]
         for result in mine[shown:]:
-            if result.outcome.final or not stopping:  # "accepted" now would read as if the stop had been too late
+            if result.outcome.final or not stopping:  # "accepted" now would look as if the stop had been too late
                 say(describe(result))
         shown = len(mine)
         return mine[-1] if mine and mine[-1].outcome.final else None
@@ -212,13 +213,19 @@ def describe(result: GoalResult) -> str:
     """Return one line for people."""
     if result.outcome is not Outcome.REACHED:
         reason = f": {result.reason}" if result.reason else f": {result.goal}"
-        return f"{result.outcome.value}{reason}"
+        return f"{result.outcome.value}{_felt(result)}{reason}"
     details = dict(result.details)
     by = details.get("measured_by", "")
     effect = details.get("effect", "")
     seen = f", {effect}" if effect and effect != "not looked for" else ""
     error = "not measured" if math.isnan(result.error_m) else f"{1000 * result.error_m:.3f} mm (by {by})"
-    return f"reached: {result.goal}, error {error}{seen}, {result.duration_s:.1f} s"
+    noted = f"; {result.reason}" if result.reason else ""
+    return f"reached{_felt(result)}: {result.goal}, error {error}{seen}, {result.duration_s:.1f} s{noted}"
+
+
+def _felt(result: GoalResult) -> str:
+    """Return whether the touch was felt, as text for people; empty without a touch."""
+    return "" if result.touch is None else f" ({result.touch.value.replace('_', ' ')})"
 
 
 @ends_quietly

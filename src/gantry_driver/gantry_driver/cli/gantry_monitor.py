@@ -17,10 +17,10 @@ from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
-from gantry_driver.core.monitor import Monitor
-from icu_common.adapters.program_end import ends_quietly, help_text
-from icu_common.core.frames import JOINTS
-from icu_common.core.text_bounds import plain
+from gantry_driver.core.machine.monitor import Monitor
+from icu_common.adapters.processes.program_end import ends_quietly, help_text
+from icu_common.core.configuration.text_bounds import plain
+from icu_common.core.geometry.frames import JOINTS
 from icu_common.nodes.qos import LATCHED, RESULTS
 from icu_common.nodes.runtime import own_arguments, ros_session
 
@@ -28,7 +28,7 @@ LIVE_S, PIPED_S = 0.1, 1.0
 
 
 class MonitorNode(Node):
-    """Feeds a :class:`~gantry_driver.core.monitor.Monitor` from the topics."""
+    """Feeds a :class:`~gantry_driver.core.machine.monitor.Monitor` from the topics."""
 
     def __init__(self, driver: str) -> None:
         super().__init__("gantry_monitor")
@@ -54,7 +54,7 @@ class MonitorNode(Node):
 
 @ends_quietly
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Show until Ctrl-C, or for ``--seconds``."""
+    """Show the values until Ctrl-C, or for ``--seconds``."""
     arguments = list(sys.argv if arguments is None else arguments)
     parser = argparse.ArgumentParser(prog="gantry_monitor", description=help_text(__doc__))
     parser.add_argument("--seconds", type=float, default=math.inf, metavar="S", help="end after S seconds")

@@ -27,10 +27,10 @@ from gantry_driver.cli.operator_session import (
     operator_session,
     say,
 )
-from icu_common.adapters.processor_load import LoadMeter, measure_processor_load
-from icu_common.adapters.program_end import ends_quietly
-from icu_common.core.preparation import Cause, Report, Stage, calibration_report, to_line
-from icu_common.core.processor_load import ProcessorLoad
+from icu_common.adapters.processes.processor_load import LoadMeter, measure_processor_load
+from icu_common.adapters.processes.program_end import ends_quietly
+from icu_common.core.processes.preparation import Cause, Report, Stage, calibration_report, to_line
+from icu_common.core.processes.processor_load import ProcessorLoad
 from icu_common.nodes.runtime import own_arguments
 
 DRIVER, CALIBRATION, CONTROLLER = "gantry/driver_state", "calibration/state", "gantry/state"
@@ -42,16 +42,16 @@ MEASURE_S = 10.0
 CONNECT_S = 60.0
 CAMERA_S = 120.0
 HOME_S = 10.0
-"""Seconds in which homing is requested again: on a busy computer the first heartbeats may still be on their way."""
+"""Seconds during which homing is requested again: on a busy computer the first heartbeats may still be in transit."""
 RETRY_S = 1.0
 
 
 class Failed(Exception):
-    """Something was refused or went wrong; the message says what."""
+    """A step was rejected or has failed; the message gives the reason."""
 
 
 def _advice(driver: str) -> str:
-    """Return what leads out of a driver's state, as the end of a sentence; empty where its reason says it."""
+    """Return how to leave a driver's state, as the end of a sentence; empty if the state's reason includes it."""
     state, _, reason = driver.partition(": ")
     if state in ("stopped", "alarm"):
         return "; look at the machine, then call gantry/reset"
@@ -70,7 +70,7 @@ def _advice(driver: str) -> str:
 
 
 class Narrator:
-    """Prints what happens: sentences for people, or reports of :mod:`icu_common.core.preparation` for bring-up."""
+    """Prints sentences for people, or the codes of ``icu_common.core.processes.preparation`` for bring-up."""
 
     def __init__(self, *, json: bool = False) -> None:
         self._json = json
@@ -87,7 +87,7 @@ class Narrator:
         say(to_line(Report(stage=self.stage, text=text)) if self._json else text)
 
     def state(self, what: str, text: str) -> None:
-        """Print a state of what the current step follows."""
+        """Print a state that the current step follows."""
         if self._json and self.stage is Stage.CALIBRATING:
             say(to_line(calibration_report(text)))
         else:
@@ -112,9 +112,9 @@ def prepare(
     growth: float = GROWTH,
     narrator: Narrator | None = None,
 ) -> None:
-    """Go through the steps; ``home`` and ``calibrate`` ask for them even where they are not needed.
+    """Carry out the steps; ``home`` and ``calibrate`` request these steps even if they are not necessary.
 
-    On a busy computer all limits grow up to ``growth`` times what they are.
+    On a busy computer all limits grow up to ``growth`` times their values.
 
     Raises
     ------
@@ -128,13 +128,13 @@ def prepare(
     steps.connect()
     narrator.begin(Stage.ENABLING)
     steps.call(SetBool, "gantry/enable", SetBool.Request(data=True))
-    # The state may still be that of before the call: homed, but not enabled.
+    # The state may still be the one before the call: homed, but not enabled.
     if home or session.latest(DRIVER).partition(":")[0] not in ("idle", "disabled"):
         narrator.begin(Stage.HOMING)
         steps.call(Trigger, "gantry/home", Trigger.Request(), patience_s=HOME_S)
         steps.follow(DRIVER, "homing", done=lambda text: text == "idle", failed=_BROKEN)
     narrator.begin(Stage.CAMERAS)
-    # A stored calibration counts once the cameras have shown that it is theirs.
+    # A stored calibration counts once the cameras have shown that it belongs to them.
     steps.wait(
         lambda: session.latest(CALIBRATION) and "waiting" not in session.latest(CALIBRATION),
         lambda: f"calibration/state: {session.latest(CALIBRATION) or 'nothing'}",
@@ -142,7 +142,7 @@ def prepare(
     calibration = session.latest(CALIBRATION)
     if calibrate or not calibration.startswith("calibrated"):
         if not calibration.startswith("calibrating"):
-            # Cameras can take longer to start than a machine takes to home.
+            # Cameras can take longer to start than a machine to home.
             steps.call(Trigger, "calibration/run", Trigger.Request(), patience_s=CAMERA_S)
         narrator.begin(Stage.CALIBRATING)
         steps.follow(CALIBRATION, "calibration", done=lambda t: t.startswith("calibrated"), failed=("failed",))
@@ -174,9 +174,9 @@ class _Steps:
         return self._started + self._timeout_s * self._factor
 
     def _patiently(self, wait: Callable[[float], Any], base_s: float = math.inf) -> Any:
-        """Carry out a wait with a deadline, which moves while the computer is busy.
+        """Carry out a wait with a deadline, which is extended while the computer is busy.
 
-        ``base_s`` is the limit of this wait alone; the deadline of the whole preparation holds as well.
+        ``base_s`` is the limit of this wait; the deadline of the whole preparation applies as well.
         """
         began = time.monotonic()
         while True:
@@ -188,7 +188,7 @@ class _Steps:
                     raise
 
     def _grow(self, missing: str) -> bool:
-        """Double all limits if the computer is busy and the bound is not reached; say what uses the processor."""
+        """Double all limits if the computer is busy and the bound is not reached; print what uses the processor."""
         if 2 * self._factor > self._growth:
             return False
         measured: list[ProcessorLoad | None] = []
@@ -230,7 +230,7 @@ class _Steps:
         return self._patiently(lambda until: self._session.wait_for(condition, until, say_missing))
 
     def call(self, service_type: Any, name: str, request: Any, *, patience_s: float = 0.0) -> None:
-        """Call a service, again while it refuses and there is patience; the last refusal is a failure."""
+        """Call a service, and repeat the call while it is rejected, within limits; the last rejection is a failure."""
         session = self._session
         client = session.node.create_client(service_type, name)
         self.wait(client.service_is_ready, f"service {name} is not offered")
@@ -259,14 +259,14 @@ class _Steps:
         self.wait(lambda: time.monotonic() > when, "out of time")
 
     def follow(self, topic: str, what: str, *, done: Callable[[str], bool], failed: tuple[str, ...]) -> None:
-        """Print what a state topic says after the last call until it is done or has failed."""
+        """Print the states on a topic after the last call, until they show success or failure."""
         texts = self._session.states[topic]
         shown = self._seen_before_call.get(topic, 0)
         asked = self._publishers_before_call.get(topic) or self._session.publishers(topic)
 
         def ended() -> bool:
             nonlocal shown
-            if self._session.publishers(topic) - asked:  # its state is none of what was begun
+            if self._session.publishers(topic) - asked:  # the state of a restarted program is not that of this step
                 raise Failed(f"{what} was cut short: the node that was asked has been started anew")
             for text in texts[shown:]:
                 shown += 1

@@ -30,15 +30,15 @@ from gantry_driver.cli.operator_session import (
     operator_session,
     say,
 )
-from icu_common.adapters.program_end import ends_quietly
-from icu_common.core.option_bounds import named_path
-from icu_common.core.results import GoalResult, Outcome
-from icu_common.core.sequence import SequenceError, parse_file, parse_steps
+from icu_common.adapters.processes.program_end import ends_quietly
+from icu_common.core.configuration.option_bounds import named_path
+from icu_common.core.goals.results import GoalResult, Outcome
+from icu_common.core.goals.sequence import SequenceError, parse_file, parse_steps
 from icu_common.nodes import qos
 from icu_common.nodes.runtime import own_arguments
 
 LAST_STEP_S = 1.0
-"""Time for the answer of the last step to arrive after that of the whole."""
+"""Maximum seconds for the answer of the last step to arrive after that of the whole sequence."""
 
 
 def parse(arguments: Sequence[str]) -> tuple[str, float]:
@@ -89,7 +89,7 @@ def carry_out(session: OperatorSession, text: str, timeout_s: float) -> int:
         answer = next((r for r in answers if r.goal_id == run_id and r.outcome.final), None)
         if answer is None:
             return None
-        # Steps are answered by another node: the last of them may come after the answer of the whole.
+        # Another node answers the steps: the last such answer may arrive after that of the whole sequence.
         told_by = min(told_by, time.monotonic() + LAST_STEP_S)
         told = dict(answer.details).get("steps_done", "")
         missing = told.isdecimal() and done < int(told)

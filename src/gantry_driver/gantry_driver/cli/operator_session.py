@@ -1,6 +1,6 @@
-"""What the command line programs share: a node that is the operator for as long as the program runs.
+"""Common part of the command line programs: a node that acts as the operator while the program runs.
 
-It publishes the heartbeat, hears states and results, waits with deadlines, and asks the machine to stop on Ctrl-C.
+It publishes the heartbeat, receives states and results, waits with deadlines, and requests a stop on Ctrl-C.
 """
 
 from __future__ import annotations
@@ -26,10 +26,11 @@ from rclpy.publisher import Publisher
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 from std_msgs.msg import Empty, Float32, Header, String
 
-from icu_common.core.results import GoalResult
+from icu_common.core.goals.results import GoalResult
 from icu_common.nodes import qos
-from icu_common.nodes.conversions import result_of_message, time_message
 from icu_common.nodes.graph_node import CLOCK_TOPIC
+from icu_common.nodes.messages.heads import time_message
+from icu_common.nodes.messages.results import result_of_message
 from icu_common.nodes.runtime import prepare_transport, start_rclpy
 from icu_common.nodes.timers import every, runs_by_clock_topic
 
@@ -40,9 +41,9 @@ SLOW_SIMULATION = 0.9
 """Simulation factor below which it is shown."""
 _TOLD_BY = ("gantry/driver_state", "gantry/result")
 BEATS_HEARD = 6
-"""Heartbeats before the first goal: three with driver and controller listening, six with one of them known."""
+"""Number of heartbeats before the first goal, counted per receiver: three with driver and controller, six with one."""
 GONE_S, AT_REST_S = 2.0, 5.0
-"""Who was to answer is given up after so long out of the graph, or at rest (as long as the sequencer waits)."""
+"""Seconds after which a wait for an answer ends: its sender is out of the graph, or at rest (the sequencer's limit)."""
 _TURN_S = 0.05
 Ends: TypeAlias = set[tuple[int, ...]]
 _NEGATIVE = re.compile(r"-\.?[0-9]")
@@ -57,7 +58,7 @@ def number(text: str) -> float:
 
 
 def with_negatives(arguments: Sequence[str]) -> list[str]:
-    """Return arguments whose negative numbers, as -1e-3, argparse takes for options no more: they get a blank."""
+    """Return arguments with a blank before negative numbers such as -1e-3, which argparse would mistake for options."""
     return [f" {text}" if _NEGATIVE.match(text) else text for text in arguments]
 
 
@@ -66,7 +67,7 @@ class Interrupted(Exception):
 
 
 class TimedOut(Exception):
-    """A wait has passed its deadline; the message says what was missing."""
+    """A wait has passed its deadline; the message names what was missing."""
 
 
 class OperatorSession:
@@ -101,7 +102,7 @@ class OperatorSession:
         self.node.create_subscription(String, topic, lambda m: texts.append(m.data), qos.EACH_LATCHED)
 
     def hear(self, topic: str) -> list[GoalResult]:
-        """Return the list into which the answers on a topic come; what is no answer is logged."""
+        """Return the list that collects the answers on a topic; invalid answers are logged."""
         answers: list[GoalResult] = []
 
         def take(message: DiagnosticArray) -> None:
@@ -127,11 +128,11 @@ class OperatorSession:
         Parameters
         ----------
         condition
-            Asked after every callback.
+            Called after every callback.
         until
-            Deadline on ``time.monotonic()``; a slow simulation moves it.
+            Deadline on ``time.monotonic()``; a slow simulation extends it.
         missing
-            What to say when it has passed.
+            Returns the message after the deadline.
 
         Raises
         ------
@@ -153,20 +154,20 @@ class OperatorSession:
         until: float,
         missing: Callable[[], str],
     ) -> Any:
-        """Wait for the answer to what was just sent, as :meth:`wait_for`, but only while somebody can give it.
+        """Wait for the answer to a message that was just sent, as :meth:`wait_for`, while a program can answer it.
 
-        One that has died is gone; one that was started anew after it is at rest and knows nothing of what was sent.
+        A program that has died is no longer in the graph; a restarted one is at rest and does not have the message.
 
         Parameters
         ----------
         answer
-            Asked after every callback.
+            Called after every callback.
         topic
-            Where the answer comes.
+            Topic of the answer.
         resting
-            Says who is at rest, empty while there is work.
+            Returns a text on the program that is at rest, empty while it works.
         until, missing
-            As of :meth:`wait_for`.
+            As for :meth:`wait_for`.
 
         Raises
         ------
@@ -180,7 +181,7 @@ class OperatorSession:
             nonlocal gone_s, rest_s, last
             if value := answer():
                 return value
-            # A time in which this process did nothing does not count: what came in it has not been heard.
+            # A hold-up of this process does not count: messages that arrived during it are still unread.
             now = time.monotonic()
             turn_s, last = min(now - last, 2 * _TURN_S), now
             gone_s = 0.0 if takers & self.publishers(topic) else gone_s + turn_s
@@ -194,12 +195,12 @@ class OperatorSession:
         return self.wait_for(answered, until, missing)
 
     def publishers(self, topic: str) -> Ends:
-        """Return who publishes on a topic, each by what no other, and no later one, has."""
+        """Return the publishers of a topic, each by an identifier that no other and no later one has."""
         name = self.node.resolve_topic_name(topic)
         return {tuple(end.endpoint_gid) for end in self.node.get_publishers_info_by_topic(name)}
 
     def wait_until_taken(self, publisher: Publisher, answers: str, until: float) -> None:
-        """Wait until somebody takes what is published and answers it, and the heartbeat is heard."""
+        """Wait until a program receives and answers the publisher's messages, and the heartbeat is received."""
         self.wait_for(
             lambda: publisher.get_subscription_count() > 0 and self.node.count_publishers(answers) > 0,
             until,
@@ -208,21 +209,21 @@ class OperatorSession:
         self.wait_until_heard(until)
 
     def follow_clock_topic(self, until: float) -> None:
-        """Take ROS time from ``/clock`` where the graph does, so that a goal's stamp is of the graph's time."""
+        """Take ROS time from ``/clock`` if the graph does, so that a goal's stamp is in the graph's time."""
         if self.node.count_publishers(self.node.resolve_topic_name(CLOCK_TOPIC)) and not runs_by_clock_topic(self.node):
             self.node.set_parameters([Parameter("use_sim_time", value=True)])
             self.wait_for(lambda: self.now_ns() > 0, until, lambda: "no time on /clock: does the simulation run?")
             self._followed = (time.monotonic(), self.now_ns())
 
     def _lost_s(self) -> float:
-        """Return by how much less time has passed in the simulation than on the wall; 0 without a simulation."""
+        """Return the seconds by which simulated time has fallen behind wall time; 0 without a simulation."""
         if self._followed is None:
             return 0.0
         wall_s, ros_ns = self._followed
         return max(time.monotonic() - wall_s - (self.now_ns() - ros_ns) / 1e9, 0.0)
 
     def wait_until_heard(self, until: float) -> None:
-        """Wait until driver and controller have had the heartbeat."""
+        """Wait until driver and controller have received the heartbeat."""
         self.wait_for(lambda: self.latest("gantry/state"), until, lambda: "no gantry/state: is the controller running?")
         self.wait_for(
             lambda: self._beats_heard >= BEATS_HEARD,
@@ -232,7 +233,7 @@ class OperatorSession:
         self.follow_clock_topic(until)
 
     def stop(self) -> None:
-        """Ask the driver to stop, and make sure that the request has left."""
+        """Request a stop of the driver, and wait until the request has been delivered."""
         self._stop.publish(Empty())
         self._stop.wait_for_all_acked(Duration(seconds=1.0))
 
@@ -242,8 +243,8 @@ class OperatorSession:
         self.node.destroy_node()
 
     def _beat(self) -> None:
-        # Who drives and who controls is told by what they publish; a recorder or a page may listen as well.
-        # Discovery of the second can take longer than that of the first.
+        # Driver and controller are identified by the topics that they publish; a recorder or a page may subscribe as
+        # well. Discovery of the second can take longer than that of the first.
         listeners = _nodes(self.node.get_subscriptions_info_by_topic(self._heartbeat.topic_name))
         roles = (_nodes(self.node.get_publishers_info_by_topic(topic)) for topic in _TOLD_BY)
         self._beats_heard += sum(bool(nodes & listeners) for nodes in roles)
@@ -263,7 +264,7 @@ def _own_clock(arguments: Sequence[str]) -> list[str]:
 
 @contextmanager
 def operator_session(name: str, arguments: Sequence[str]) -> Iterator[OperatorSession]:
-    """Start rclpy with the ROS part of the arguments and end it cleanly whatever happens."""
+    """Start rclpy with the ROS part of the arguments, and end it cleanly in every case."""
     prepare_transport()
     start_rclpy([*arguments, *_own_clock(arguments)])
     session: OperatorSession | None = None
@@ -286,7 +287,7 @@ def operator_session(name: str, arguments: Sequence[str]) -> Iterator[OperatorSe
 
 
 def say(text: str) -> None:
-    """Print a line at once, also into a pipe."""
+    """Print a line without delay, also into a pipe."""
     print(text, flush=True)
 
 

@@ -1,4 +1,4 @@
-"""What the board has received, done and lost, with times: evidence for tests, and the log file."""
+"""Journal of received bytes, actions and losses of the board, with times: evidence for tests, and the log file."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ Entry = dict[str, Any]
 
 
 class Journal:
-    """Numbered entries, the newest ``capacity`` of them, and counters that never forget."""
+    """Numbered entries, limited to the newest ``capacity``, and counters of all entries."""
 
     def __init__(self, capacity: int = 20_000) -> None:
         self.entries: deque[Entry] = deque(maxlen=capacity)

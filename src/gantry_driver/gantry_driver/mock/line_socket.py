@@ -12,11 +12,11 @@ from pathlib import Path
 
 MAX_LINE_BYTES = 64 * 1024
 _LONGEST_PATH = 107
-"""Bytes; unix(7): 108 with the zero at the end."""
+"""Maximum length of a path in bytes; unix(7): 108 including the final zero."""
 
 
 class LineServer:
-    """A listening socket and its clients; no call waits."""
+    """A listening socket and its clients; no call blocks."""
 
     def __init__(self, path: Path, selector: selectors.BaseSelector) -> None:
         self.path = path
@@ -30,7 +30,7 @@ class LineServer:
         self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         try:
             self._listener.bind(os.fspath(path))
-        except OSError as error:  # which names no file
+        except OSError as error:  # the error itself names no file
             self._listener.close()
             raise OSError(f"{path}: {error.strerror}") from error
         self._listener.listen(8)
@@ -39,8 +39,12 @@ class LineServer:
 
     @property
     def client_count(self) -> int:
-        """How many clients are connected."""
+        """Number of connected clients."""
         return len(self._clients)
+
+    def connected(self, client: socket.socket) -> bool:
+        """Return whether a client is still connected."""
+        return client in self._clients
 
     def _accept(self) -> None:
         with contextlib.suppress(BlockingIOError, ConnectionAbortedError):
@@ -75,13 +79,13 @@ class LineServer:
                 yield client, line
 
     def send(self, client: socket.socket, line: bytes) -> None:
-        """Send one line; what the client cannot take now goes out later."""
+        """Send one line; bytes that the client cannot accept now are sent later."""
         if client in self._clients:
             self._clients[client][1].extend(line)
             self._flush(client)
 
     def broadcast(self, line: bytes) -> None:
-        """Offer one line to every client; a client that has not taken its last one misses it."""
+        """Send one line to every client, except clients that have not accepted their last one."""
         for client, (_, outgoing) in list(self._clients.items()):
             if not outgoing:
                 outgoing += line

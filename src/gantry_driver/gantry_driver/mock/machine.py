@@ -1,6 +1,6 @@
-"""A board with its faults: what the pseudo-terminal and the control socket work on.
+"""A board with its faults, for the pseudo-terminal and the control socket.
 
-Faults are named as in :data:`FAULTS`; each states its arguments and is refused with a sentence when they do not fit.
+:data:`FAULTS` has the names and arguments of the faults; invalid arguments are rejected with a message.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ MAX_SECONDS, MAX_COUNT, MAX_MM = 3600.0, 100_000, 10_000.0
 
 
 class FaultError(ValueError):
-    """A fault is unknown or its arguments do not fit; the message names the value and the bound."""
+    """A fault is unknown or its arguments are invalid; the message names the value and the limit."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PortFault:
-    """A fault that the port carries out: ``unplug`` or ``stop_reading``, for some board seconds."""
+    """A fault that the port carries out: ``unplug`` or ``stop_reading``, with its duration in board seconds."""
 
     kind: str
     seconds: float
@@ -56,6 +56,15 @@ def _axis(arguments: Mapping[str, Any]) -> int:
     return "XYZ".index(name.upper())
 
 
+def _mm(arguments: Mapping[str, Any], name: str) -> float:
+    value = arguments.get(name)
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        raise FaultError(f"{name} = {value!r}: a number of mm is needed")
+    if not -MAX_MM <= value <= MAX_MM:
+        raise FaultError(f"{name} = {value!r} is not within -{MAX_MM:g} to {MAX_MM:g} mm")
+    return float(value)
+
+
 def _switch(arguments: Mapping[str, Any], name: str = "on") -> bool:
     value = arguments.get(name, True)
     if not isinstance(value, bool):
@@ -64,7 +73,7 @@ def _switch(arguments: Mapping[str, Any], name: str = "on") -> bool:
 
 
 class Machine:
-    """The board, its mechanics, and the faults that can befall them."""
+    """The board, its mechanics, and their possible faults."""
 
     def __init__(
         self,
@@ -79,7 +88,7 @@ class Machine:
         self.board = Board(eeprom, self.mechanics, self.rng, board or BoardOptions())
 
     def truth(self) -> dict[str, Any]:
-        """Return where the motors truly are and what the tool pins do."""
+        """Return the true positions of the motors and the states of the tool pins."""
         m = self.mechanics
         return {
             "mpos": [round(v, 5) for v in m.mpos_mm()],
@@ -89,14 +98,14 @@ class Machine:
         }
 
     def inject(self, kind: str, arguments: Mapping[str, Any]) -> PortFault | None:
-        """Make a fault happen now.
+        """Inject a fault now.
 
-        Returns what the port has to do, None when the board did it all.
+        Returns the part of the fault that the port must carry out, None if there is none.
 
         Raises
         ------
         FaultError
-            When there is no such fault or an argument does not fit.
+            If there is no such fault or an argument is invalid.
         """
         action = FAULTS.get(kind)
         if action is None:
@@ -167,13 +176,12 @@ class Machine:
     def _door(self, arguments: Mapping[str, Any]) -> None:
         self.board.set_door(_switch(arguments))
 
+    def _lost_steps(self, arguments: Mapping[str, Any]) -> None:
+        axis, mm = _axis(arguments), _mm(arguments, "mm")
+        self.mechanics.lose_steps(axis, mm)
+
     def _probe_surface(self, arguments: Mapping[str, Any]) -> None:
-        z = arguments.get("z_mm")
-        if z is not None and (isinstance(z, bool) or not isinstance(z, (int, float))):
-            raise FaultError(f"z_mm = {z!r}: a number of mm, or null for none, is needed")
-        if z is not None and not -MAX_MM <= z <= MAX_MM:
-            raise FaultError(f"z_mm = {z!r} is not within -{MAX_MM:g} to {MAX_MM:g} mm")
-        self.mechanics.probe_z_mm = z
+        self.mechanics.probe_z_mm = None if arguments.get("z_mm") is None else _mm(arguments, "z_mm")
 
 
 FAULTS: dict[str, Callable[[Machine, Mapping[str, Any]], PortFault | None]] = {
@@ -193,13 +201,15 @@ FAULTS: dict[str, Callable[[Machine, Mapping[str, Any]], PortFault | None]] = {
     "broken_switch": Machine._broken_switch,
     "stop_button": Machine._stop_button,
     "door": Machine._door,
+    "lost_steps": Machine._lost_steps,
     "probe_surface": Machine._probe_surface,
 }
 """Faults by name.
 
-unplug(seconds), stop_reading(seconds), brown_out(), soft_reset(), hang(seconds: the main loop stands still),
+unplug(seconds), stop_reading(seconds), brown_out(), soft_reset(), hang(seconds: the main loop does not run),
 error(number, after: lines to let pass), garbage(count: bytes), stray_ok(count),
 answers(how: lost, delayed, split or merged; count, seconds), damage(direction: to_board or from_board; how: flip, lost,
-doubled, swapped, replaced or burst; after: bytes to let pass), alarm(number), eeprom_pause(seconds, tail_s: deaf after
-the answer), limit(axis, on), broken_switch(axis, on), stop_button(on), door(on), probe_surface(z_mm).
+doubled, swapped, replaced or burst; after: bytes to let pass), alarm(number), eeprom_pause(seconds, tail_s: seconds
+without reception after the answer), limit(axis, on), broken_switch(axis, on), stop_button(on), door(on),
+probe_surface(z_mm), lost_steps(axis, mm: shift of the motor relative to the board's count; homing corrects it).
 """

@@ -90,15 +90,15 @@ def _check_folders(options: argparse.Namespace) -> None:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the board until SIGINT or SIGTERM, or until its log's disk is full; return the exit code."""
     given = list(sys.argv[1:] if arguments is None else arguments)
-    if "--ros-args" in given:  # bring-up starts the board beside nodes; it has no use for theirs
+    if "--ros-args" in given:  # bring-up starts the board like a node; it does not use ROS arguments
         begin = given.index("--ros-args")
         end = given.index("--", begin) + 1 if "--" in given[begin:] else len(given)
         del given[begin:end]
-    # Behind a blank a start of -180,-110,-5 is no option.
+    # With a blank in front, argparse does not mistake a start of -180,-110,-5 for an option.
     options = make_parser().parse_args([f" {text}" if re.match("-[0-9.]", text) else text for text in given])
     try:
         return _run(options)
-    except OSError as error:  # while it runs, nothing but the log is written to a disk
+    except OSError as error:  # while it runs, only the log is written to a disk
         if error.errno not in (errno.ENOSPC, errno.EDQUOT):
             raise
         print(f"error: --log {options.log}: {error.strerror}", file=sys.stderr)
@@ -146,7 +146,7 @@ def _run(options: argparse.Namespace) -> int:
         stack.callback(signal.set_wakeup_fd, signal.set_wakeup_fd(service.wakeup_fd, warn_on_full_buffer=False))
         try:
             print(options.link or service.port.path, flush=True)
-        except OSError:  # nobody wants to know: whoever reads has gone, as head does
+        except OSError:  # the reader of the output has ended, as head does
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         service.run()
     return 0

@@ -1,7 +1,7 @@
-"""What hangs on the board's pins: three motors on rails with home switches, a probe surface, and a stop button.
+"""Devices on the board's pins: three motors on rails with home switches, a probe surface, and a stop button.
 
-The board counts the steps it has sent; here is what the motors made of them. The two differ after power-up, after an
-abrupt halt (the carriage overshoots) and when an axis runs against its end.
+The board counts the steps that it has sent; this module has the true positions of the motors. The two differ after
+power-up, after an abrupt halt (the carriage overshoots), and if an axis runs against its end.
 """
 
 from __future__ import annotations
@@ -16,29 +16,29 @@ Triple = tuple[int, int, int]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MechanicsOptions:
-    """The machine's body; its size, steps per mm and home ends are taken from the settings at start."""
+    """Properties of the mechanics; size, steps per mm and home ends come from the settings at the start."""
 
     start_mm: tuple[float, float, float] = (-180.0, -110.0, -5.0)
-    """Where the axes stand at power-up, in the frame in which a homed board counts."""
+    """Positions of the axes at power-up, in the frame of a homed board."""
     overtravel_mm: float = 2.0
-    """From a home switch to the hard end behind it, and from the end of travel to the other hard end."""
+    """Distance from a home switch to the hard end behind it, and from the end of travel to the other hard end."""
     home_jitter_mm: float = 0.0
     """Standard deviation of a home switch's trip point."""
     slip_s: float = 0.001
-    """After an abrupt halt each axis overshoots by up to its speed times this; 0 makes motors that never slip."""
+    """Maximum overshoot of an axis after an abrupt halt, divided by its speed; with 0, motors never slip."""
     slip_speed_mm_s: float = 5.0
-    """Below this speed an abrupt halt loses nothing."""
+    """Speed below which an abrupt halt loses no steps."""
 
 
 @dataclass(slots=True)
 class Mechanics:
-    """Motors, switches and pins; positions in motor steps, frame as of a homed board."""
+    """Motors, switches and pins; positions in motor steps, in the frame of a homed board."""
 
     options: MechanicsOptions
     rng: random.Random
     steps_per_mm: tuple[float, float, float]
     home_sign: tuple[int, int, int]
-    """-1 where the axis homes at its negative end."""
+    """-1 for an axis that homes at its negative end."""
     switch: list[float]
     """Nominal trip points in steps."""
     low: Triple
@@ -49,17 +49,19 @@ class Mechanics:
     broken_switches: set[int] = field(default_factory=set)
     held_switches: set[int] = field(default_factory=set)
     probe_z_mm: float | None = None
+    probe_contact: bool = False
+    """Whether a switch connects the probe input with ground, independently of a surface at ``probe_z_mm``."""
     door_open: bool = False
     stop_pressed: bool = False
     spindle_rpm: float = 0.0
     spindle: int = 5
-    """3, 4 or 5 as the M-code that set it."""
+    """Number of the M-code that set it: 3, 4 or 5."""
     flood: bool = False
     mist: bool = False
 
     @classmethod
     def build(cls, eeprom: Eeprom, options: MechanicsOptions, rng: random.Random) -> Mechanics:
-        """Build the body that fits the settings the board starts with."""
+        """Return the mechanics for the settings with which the board starts."""
         scale, travel = eeprom.axis_values(100), eeprom.axis_values(130)
         mask = int(eeprom.values[23])
         sign = tuple(-1 if mask >> axis & 1 else 1 for axis in range(3))
@@ -79,11 +81,11 @@ class Mechanics:
         return made
 
     def mpos_mm(self) -> list[float]:
-        """Return where the motors truly are, (3,) in mm."""
+        """Return the true positions of the motors, (3,) in mm."""
         return [self.motor[i] / self.steps_per_mm[i] for i in range(3)]
 
     def follow(self, commanded: Triple) -> None:
-        """Turn the motors by what the board's counters have moved; an axis at its hard end stalls."""
+        """Turn the motors by the change of the board's counters; an axis at its hard end stalls."""
         if commanded == self.commanded:
             return
         for i in range(3):
@@ -91,12 +93,17 @@ class Mechanics:
             self.motor[i] = min(max(target, self.low[i]), self.high[i])
         self.commanded = commanded
 
+    def lose_steps(self, axis: int, mm: float) -> None:
+        """Move one motor without a change of the board's counter, like steps lost under load."""
+        target = self.motor[axis] + round(mm * self.steps_per_mm[axis])
+        self.motor[axis] = min(max(target, self.low[axis]), self.high[axis])
+
     def renumber(self, commanded: Triple) -> None:
-        """The board's counters were set; the motors stay."""
+        """Take new values of the board's counters; the motors do not move."""
         self.commanded = commanded
 
     def halt(self, speed_mm_s: tuple[float, float, float]) -> None:
-        """Let the axes overshoot after the steps have stopped at these speeds, which the board does not see."""
+        """Let the axes overshoot after the steps have stopped at these speeds; the board does not count that."""
         for i in range(3):
             if abs(speed_mm_s[i]) > self.options.slip_speed_mm_s:
                 slip = speed_mm_s[i] * self.options.slip_s * self.rng.uniform(0.5, 1.0)
@@ -104,7 +111,7 @@ class Mechanics:
                 self.motor[i] = min(max(target, self.low[i]), self.high[i])
 
     def pressed(self, axis: int) -> bool:
-        """Tell whether an axis's limit switch is closed."""
+        """Return whether an axis's limit switch is closed."""
         if axis in self.held_switches:
             return True
         if axis in self.broken_switches:
@@ -119,7 +126,7 @@ class Mechanics:
             self.trip[i] = float(round(self.switch[i] + offset))
 
     def steps_to_switch(self, axis: int, direction: int) -> float | None:
-        """Return how many steps in ``direction`` close the switch, 0 if it is closed, None if never."""
+        """Return the number of steps in ``direction`` that close the switch, 0 if it is closed, None if none do."""
         if self.pressed(axis):
             return 0.0
         if axis in self.broken_switches or direction != self.home_sign[axis]:
@@ -127,13 +134,20 @@ class Mechanics:
         return abs(self.trip[axis] - self.motor[axis])
 
     def probe_closed(self) -> bool:
-        """Tell whether the probe touches."""
-        return self.probe_z_mm is not None and self.motor[2] <= self.probe_z_mm * self.steps_per_mm[2]
+        """Return whether the probe input is connected with ground."""
+        touches = self.probe_z_mm is not None and self.motor[2] <= self.probe_z_mm * self.steps_per_mm[2]
+        return touches or self.probe_contact
 
-    def pins(self) -> str:
-        """Return the letters of the pins that are active, as the report's ``Pn:`` has them."""
+    def pins(self, probe: bool) -> str:
+        """Return the letters of the active pins, as in the report's ``Pn:``.
+
+        Parameters
+        ----------
+        probe
+            Whether the probe counts as triggered for the firmware, which depends on its settings.
+        """
         letters = "".join("XYZ"[i] for i in range(3) if self.pressed(i))
-        return "P" * self.probe_closed() + letters + "D" * self.door_open + "R" * self.stop_pressed
+        return "P" * probe + letters + "D" * self.door_open + "R" * self.stop_pressed
 
 
 def _triple(values: list[int]) -> Triple:

@@ -1,6 +1,6 @@
-"""The mock board's plug: a pseudo-terminal that appears, is opened, closed, pulled and plugged in again.
+"""The mock board's port: a pseudo-terminal that is plugged in, opened, closed, unplugged, and plugged in again.
 
-The kernel tells the master side nothing when the other side is opened, so a closed port is polled.
+The kernel does not report to the master side that the other side was opened, so a closed port is polled.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ import os
 import pty
 import select
 import selectors
+import termios
 import tty
 from collections.abc import Callable
 from pathlib import Path
@@ -24,11 +25,11 @@ class PtyPort:
     Parameters
     ----------
     selector
-        Where the port's reads are registered.
+        Selector for the port's reads.
     link
-        Path of a symbolic link that follows the port, or None.
+        Path of a symbolic link to the current port, or None.
     received, opened
-        Called with bytes from the host, and when the host has opened the port.
+        Called with bytes from the host, and after the host has opened the port.
     """
 
     def __init__(
@@ -46,6 +47,8 @@ class PtyPort:
         self._reading = True
         self._backlog = bytearray()
         self.is_open = False
+        self._dtr = self.dtr_rose = False
+        """Level of DTR, and whether it rose at the last opening: closing lowers it only if the terminal has HUPCL."""
         self.path = Path()
         if link is not None and link.exists() and not link.is_symlink():
             raise FileExistsError(f"{link} exists and is not a link")
@@ -58,13 +61,17 @@ class PtyPort:
 
     @property
     def waiting(self) -> bool:
-        """Whether something needs a look every :data:`OPEN_POLL_S`."""
+        """Whether :meth:`poll` must be called every :data:`OPEN_POLL_S`."""
         return self.plugged and (not self.is_open or bool(self._backlog))
 
     def plug(self) -> None:
-        """Make a new pseudo-terminal and let the link point to it."""
+        """Create a new pseudo-terminal and point the link to it."""
         master, slave = pty.openpty()
         tty.setraw(slave)  # no echo before the host has configured it
+        modes = termios.tcgetattr(slave)
+        modes[2] |= termios.HUPCL  # the initial state of a serial port, but not of a pseudo-terminal
+        termios.tcsetattr(slave, termios.TCSANOW, modes)
+        self._dtr = False
         self.path = Path(os.ttyname(slave))
         os.close(slave)  # from now on the master hangs up until the host opens the port
         os.set_blocking(master, False)
@@ -77,7 +84,7 @@ class PtyPort:
             fresh.replace(self._link)
 
     def unplug(self) -> None:
-        """Take the pseudo-terminal away; the host's reads and writes fail from now on."""
+        """Remove the pseudo-terminal; the host's reads and writes fail from now on."""
         if self._master is None:
             return
         if self._link is not None:
@@ -87,12 +94,12 @@ class PtyPort:
         self._master = None
 
     def set_reading(self, reading: bool) -> None:
-        """Stop or go on taking bytes from the host, whose writes then fill the kernel's buffer."""
+        """Stop or resume reading from the host; while stopped, the host's writes fill the kernel's buffer."""
         self._reading = reading
         self._register()
 
     def poll(self) -> None:
-        """Notice that the host has opened the port, and push out what could not be written."""
+        """Detect that the host has opened the port, and write the bytes that could not be written before."""
         if self._master is None:
             return
         if not self.is_open:
@@ -100,12 +107,13 @@ class PtyPort:
             watcher.register(self._master, select.POLLIN)
             if not any(events & select.POLLHUP for _, events in watcher.poll(0)):
                 self._set_open(True)
+                self.dtr_rose, self._dtr = not self._dtr, True
                 self._opened()
         elif self._backlog:
             self.write(b"")
 
     def write(self, data: bytes) -> int:
-        """Send bytes to the host; return how many were dropped because nobody reads them."""
+        """Send bytes to the host; return the number of bytes dropped because no program reads them."""
         if self._master is None or not self.is_open:
             return len(data)
         self._backlog += data
@@ -122,7 +130,7 @@ class PtyPort:
         return dropped
 
     def drain(self) -> None:
-        """Take all bytes that the host has sent."""
+        """Read all bytes that the host has sent."""
         watcher = select.poll()
         while self._master is not None and self.is_open and self._reading:
             watcher.register(self._master, select.POLLIN)
@@ -146,6 +154,8 @@ class PtyPort:
             self._set_open(False)
 
     def _set_open(self, is_open: bool) -> None:
+        if self.is_open and not is_open and self._master is not None:
+            self._dtr = not termios.tcgetattr(self._master)[2] & termios.HUPCL
         self.is_open = is_open
         if not is_open:
             self._backlog.clear()

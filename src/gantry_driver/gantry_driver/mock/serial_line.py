@@ -1,4 +1,4 @@
-"""The mock board's serial line: both directions take time by the baud rate, and bytes can be damaged on their way."""
+"""The mock board's serial line: both directions take the time of the baud rate, and bytes can be damaged in transit."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _SIGNIFICANT = re.compile(rb"[\n\r?!~\x18\x80-\xff]")
 
 
 CONTEXT_BYTES = 24
-"""Bytes before and after the damaged ones that :attr:`Damage.was` and :attr:`Damage.became` keep, at most."""
+"""Maximum number of bytes before and after the damaged ones in :attr:`Damage.was` and :attr:`Damage.became`."""
 
 
 class Damage:
@@ -23,14 +23,14 @@ class Damage:
     kind
         One of :attr:`kinds`.
     after
-        Bytes that pass undamaged before it.
+        Number of bytes that pass undamaged before it.
     rng
         Source of the damaged values.
 
     Attributes
     ----------
     was, became
-        The bytes around the damage as they were sent and as they arrived; empty until it has happened.
+        The bytes around the damage as they were sent and as they arrived; empty before the damage.
     """
 
     kinds = ("flip", "lost", "doubled", "swapped", "replaced", "burst")
@@ -48,7 +48,7 @@ class Damage:
 
     @property
     def done(self) -> bool:
-        """Whether it has happened, all of it."""
+        """Whether the damage is complete."""
         return self._left == 0
 
     @property
@@ -57,7 +57,7 @@ class Damage:
         return bool(self.was)
 
     def apply(self, data: bytes) -> bytes:
-        """Return what arrives of ``data``."""
+        """Return the bytes of ``data`` as they arrive."""
         if self._left == 0:
             return data
         if self._after >= len(data):
@@ -84,14 +84,14 @@ class Damage:
         if self.kind == "flip":
             return bytes([byte[0] ^ 1 << self._rng.randrange(8)])
         if self.kind == "swapped":
-            # The first waits for its neighbour, however late that one is sent.
+            # The first byte waits for its neighbour, however late that is sent.
             held, self._held = self._held, byte
             return byte + held if self._left == 0 else b""
         return bytes([byte[0] ^ self._rng.randrange(1, 256)])
 
 
 class Inbound:
-    """Bytes on their way from the host to the board."""
+    """Bytes in transit from the host to the board."""
 
     def __init__(self, byte_s: float) -> None:
         self.byte_s = byte_s
@@ -100,7 +100,7 @@ class Inbound:
         self._start_s = 0.0
 
     def push(self, data: bytes, now: float) -> None:
-        """Send ``data`` at ``now``; it queues behind what is still on the line."""
+        """Send ``data`` at ``now``, after the bytes that are still on the line."""
         if self.damage is not None:
             data = self.damage.apply(data)
         if not self._data:
@@ -110,13 +110,13 @@ class Inbound:
         self._data += data
 
     def clear(self) -> int:
-        """Drop what has not arrived; return how many bytes that were."""
+        """Drop the bytes that have not arrived; return their number."""
         lost = len(self._data)
         self._data.clear()
         return lost
 
     def due(self) -> float | None:
-        """Return when the next byte arrives that the board may have to act on."""
+        """Return the arrival time of the next byte on which the board may have to act."""
         if not self._data:
             return None
         match = _SIGNIFICANT.search(self._data)
@@ -133,7 +133,7 @@ class Inbound:
 
 @dataclass(slots=True)
 class AnswerFault:
-    """What happens to the next ``count`` answers (``ok``, ``error:N``)."""
+    """Fault of the next ``count`` answers (``ok``, ``error:N``)."""
 
     kind: str
     """``lost``, ``delayed``, ``split`` or ``merged``."""
@@ -142,11 +142,11 @@ class AnswerFault:
 
 
 class Outbound:
-    """Bytes on their way from the board to the host."""
+    """Bytes in transit from the board to the host."""
 
     kinds = ("lost", "delayed", "split", "merged")
     buffer_bytes = 104
-    """GRBL's transmit buffer; the firmware waits when it is full."""
+    """Size of GRBL's transmit buffer; the firmware waits while it is full."""
 
     def __init__(self, byte_s: float, rng: random.Random, latency_s: float = 0.0) -> None:
         self.byte_s = byte_s
@@ -160,9 +160,9 @@ class Outbound:
         self._merge_until = 0.0
 
     def send(self, data: bytes, now: float, *, after_s: float = 0.0) -> None:
-        """Queue bytes; they arrive in order when the line has carried them, ``after_s`` later if something delays them.
+        """Queue bytes; they arrive in order after their time on the line, and ``after_s`` later if they are delayed.
 
-        The delay is on the host's side: the board's transmit buffer empties all the same.
+        The delay is on the host's side: the board's transmit buffer empties without it.
         """
         if self.damage is not None:
             data = self.damage.apply(data)
@@ -171,7 +171,7 @@ class Outbound:
         self._queue.append((self._arrived_s, data))
 
     def answer(self, data: bytes, now: float) -> str | None:
-        """Queue an answer through the injected faults; return the name of the fault that hit it."""
+        """Queue an answer, subject to the injected faults; return the name of the fault that affected it."""
         if not self.faults:
             self.send(data, now)
             return None
@@ -186,19 +186,19 @@ class Outbound:
             self.send(data[:cut], now)
             self.send(data[cut:], now, after_s=fault.seconds)
         elif fault.kind == "merged":
-            # Every answer until then waits for the same moment, as behind a slow USB latency timer.
+            # All answers until then wait for the same time, as with a slow USB latency timer.
             if self._merge_until <= now:
                 self._merge_until = now + fault.seconds
             self.send(data, now, after_s=self._merge_until - now)
         return fault.kind
 
     def clear(self) -> None:
-        """Drop everything, as when the cable is pulled."""
+        """Drop all bytes, as if the cable were unplugged."""
         self._queue.clear()
         self._merge_until = self._free_s = self._arrived_s = 0.0
 
     def due(self) -> float | None:
-        """Return when the next piece arrives at the host."""
+        """Return the arrival time of the next piece at the host."""
         return self._queue[0][0] if self._queue else None
 
     def take(self, now: float) -> list[bytes]:
@@ -209,5 +209,5 @@ class Outbound:
         return pieces
 
     def room_at(self) -> float:
-        """Return when the transmit buffer has room again."""
+        """Return the time at which the transmit buffer has room again."""
         return self._free_s - self.buffer_bytes * self.byte_s

@@ -1,13 +1,16 @@
-"""Runs a mock machine in real time: port, truth socket, control socket and log around one selector.
+"""Runs a mock machine in real time: port, truth socket, control socket and log with one selector.
 
 Truth socket: a line ``{"t": s on the monotonic clock, "mpos": [x, y, z] mm of the motors in the frame of a homed board,
-"spindle": rpm, "coolant": bool, "state": as the report has it, or Off}``, 200 a second while moving, else 20.
+"spindle": rpm, "coolant": bool, "state": as in the report, or Off}``, 200 per second while moving, else 20.
 
-A stepped board has no clock of its own: its time advances to what a client of the truth socket sends, ``{"until": s}``.
-The client gets the samples on the way there, with board seconds as ``t``, and then ``{"until": s, "sent": n,
-"received": n}`` with the bytes that have passed the serial port since the start.
+A stepped board has no clock: its time advances to the time that a client of the truth socket sends, ``{"until": s}``.
+The client receives the samples up to that time, with board seconds as ``t``, and then ``{"until": s, "sent": n,
+"received": n}`` with the numbers of bytes that have passed the serial port since the start.
 
-Control socket: one JSON object per line, each answered by one line with ``ok`` and, when refused, ``error``:
+A line ``{"probe": true or false}`` on the truth socket connects the probe input with ground or disconnects it, until
+its sender disconnects. A simulated switch in the stylus uses this.
+
+Control socket: one JSON object per line, each answered by one line with ``ok`` and, if rejected, ``error``:
 ``{"do": "state"}``, ``{"do": "counters"}``, ``{"do": "log", "since": N, "kind": "line"}`` (both optional; kinds: rx,
 realtime, line, alarm, eeprom, banner, fault, opened, power_on, power_off), ``{"do": "fault", "kind": K, ...}`` with the
 faults and arguments of :data:`gantry_driver.mock.machine.FAULTS`. Times in answers are board seconds.
@@ -32,11 +35,11 @@ from gantry_driver.mock.pty_port import OPEN_POLL_S, PtyPort
 TRUTH_MOVING_S, TRUTH_REST_S = 0.005, 0.05
 MAX_LOG_ENTRIES = 2000
 MAX_WAIT_S = 3600.0
-"""A selector refuses to wait for as long as the slowest moves take."""
+"""Maximum wait in seconds: a selector does not accept the duration of the slowest moves."""
 
 
 class Service:
-    """The mock board as a process sees it; :meth:`run` returns after :meth:`stop`."""
+    """The mock board in a process; :meth:`run` returns after :meth:`stop`."""
 
     def __init__(
         self,
@@ -63,11 +66,12 @@ class Service:
         self._fault_ends_s: dict[str, float] = {}
         self._truth_s = 0.0
         self._was_moving = False
+        self._probe_wire: socket.socket | None = None
         self._log = log
         self._log_dirty = False
         if log is not None:
             self._board.journal.sink = self._log_entry
-        with contextlib.ExitStack() as stack:  # what fails here closes what was opened before it
+        with contextlib.ExitStack() as stack:  # a failure closes everything that was opened before
             self._selector = stack.enter_context(selectors.DefaultSelector())
             self._wake_read, self._wake_write = socket.socketpair()
             for end in (self._wake_read, self._wake_write):
@@ -90,13 +94,13 @@ class Service:
 
     @property
     def wakeup_fd(self) -> int:
-        """For ``signal.set_wakeup_fd``: a signal that comes just before the wait does not interrupt it."""
+        """Descriptor for ``signal.set_wakeup_fd``, because a signal just before the wait does not interrupt it."""
         return self._wake_write.fileno()
 
     def stop(self) -> None:
-        """Let :meth:`run` return; may be called from a signal handler or another thread."""
+        """Make :meth:`run` return; may be called from a signal handler or another thread."""
         self._stopping = True
-        with contextlib.suppress(BlockingIOError, OSError):  # full of wake-ups already, or closed
+        with contextlib.suppress(BlockingIOError, OSError):  # already full of wake-ups, or closed
             self._wake_write.send(b"\0")
 
     def run(self) -> None:
@@ -120,8 +124,7 @@ class Service:
         if self._control is not None:
             for client, line in self._control.lines():
                 self._control.send(client, json.dumps(self._command(line)).encode() + b"\n")
-        if self._stepped:
-            self._take_steps()
+        self._take_requests()
         self._board.advance(self._now())
         self._send_output()
         if not self._stepped:
@@ -137,25 +140,39 @@ class Service:
             self._sent += len(data) - dropped
             self._board.journal.count("bytes_unread", dropped)
 
-    def _take_steps(self) -> None:
-        """Advance as far as clients of the truth socket ask."""
-        assert self._truth is not None
+    def _take_requests(self) -> None:
+        """Carry out the requests on the truth socket: advance (a stepped board), set the probe input."""
+        if self._truth is None:
+            return
         for client, line in self._truth.lines():
             try:
-                until_s = float(json.loads(line)["until"])
+                request = json.loads(line)
+                if isinstance(request, dict) and isinstance(request.get("probe"), bool):
+                    self._board.advance(self._now())
+                    self._board.set_probe(request["probe"])
+                    self._probe_wire = client if request["probe"] else None
+                elif self._stepped:
+                    self._advance_to(float(request["until"]), client)
             except (ValueError, KeyError, TypeError, RecursionError):
                 continue
-            self.port.drain()
-            while self._board.now < until_s - 1e-9:
-                period = TRUTH_MOVING_S if self._board.moving() else TRUTH_REST_S
-                self._until_s = min(self._board.now + period, until_s)
-                self._end_faults()
-                self._board.advance(self._until_s)
-                sample = json.dumps({"t": self._board.now, **self.machine.truth()})
-                self._truth.send(client, sample.encode() + b"\n")
-            self._send_output()
-            answer = {"until": until_s, "sent": self._sent, "received": self._received_count}
-            self._truth.send(client, json.dumps(answer).encode() + b"\n")
+        if self._probe_wire is not None and not self._truth.connected(self._probe_wire):
+            self._board.advance(self._now())
+            self._board.set_probe(False)
+            self._probe_wire = None
+
+    def _advance_to(self, until_s: float, client: socket.socket) -> None:
+        assert self._truth is not None
+        self.port.drain()
+        while self._board.now < until_s - 1e-9:
+            period = TRUTH_MOVING_S if self._board.moving() else TRUTH_REST_S
+            self._until_s = min(self._board.now + period, until_s)
+            self._end_faults()
+            self._board.advance(self._until_s)
+            sample = json.dumps({"t": self._board.now, **self.machine.truth()})
+            self._truth.send(client, sample.encode() + b"\n")
+        self._send_output()
+        answer = {"until": until_s, "sent": self._sent, "received": self._received_count}
+        self._truth.send(client, json.dumps(answer).encode() + b"\n")
 
     def _timeout(self) -> float | None:
         now = time.monotonic()
@@ -181,8 +198,8 @@ class Service:
 
     def _opened(self) -> None:
         self._board.journal.note(self._board.now, "opened")
-        if self._reset_on_open:
-            self._board.power_on(self._now())  # DTR resets an Arduino
+        if self._reset_on_open and self.port.dtr_rose:
+            self._board.power_on(self._now())  # the edge of DTR resets an Arduino
 
     def _tell_truth(self) -> None:
         if self._truth is None or not self._truth.client_count:

@@ -1,4 +1,4 @@
-"""The `$` settings of GRBL 1.1 and the rest of what the board keeps in its EEPROM, with the bench's values.
+"""The `$` settings of GRBL 1.1 and the other data in the board's EEPROM, with the bench's values.
 
 Numbers, names and limits are those of GRBL's settings document (gnea/grbl, doc/markdown/settings.md and
 doc/csv/setting_codes_en_US.csv).
@@ -32,20 +32,20 @@ BENCH: dict[int, float] = {
     120: 1500.0, 121: 1500.0, 122: 400.0,
     130: 360.0, 131: 220.0, 132: 60.0,
 }  # fmt: skip
-"""Settings of the simulated bench, in the order `$$` prints them; mm, mm/min, mm/s^2, steps per mm."""
+"""Settings of the simulated bench, in the order of `$$`; mm, mm/min, mm/s^2, steps per mm."""
 
 ERROR_INVALID_STATEMENT, ERROR_NEGATIVE, ERROR_STEP_PULSE, ERROR_SOFT_LIMITS = 3, 4, 6, 10
 
 
 class SettingsError(ValueError):
-    """A settings file or a ``--set`` argument cannot be used; the message says which line and why."""
+    """A settings file or a ``--set`` argument cannot be used; the message names the line and the reason."""
 
 
 @dataclass(slots=True)
 class Eeprom:
-    """What survives a reset and a power cycle.
+    """Data that survive a reset and a power cycle.
 
-    ``defaults`` are the values that ``$RST=$`` restores; ``systems`` are G54 to G59 and then G28 and G30, in mm.
+    ``defaults`` are the values that ``$RST=$`` restores; ``systems`` are G54 to G59, then G28 and G30, in mm.
     """
 
     defaults: Mapping[int, float] = field(default_factory=lambda: dict(BENCH))
@@ -54,14 +54,14 @@ class Eeprom:
     startup: list[str] = field(default_factory=lambda: ["", ""])
     build_info: str = ""
     g92: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
-    """The last ``G92``, in mm, which grblHAL alone loads at power-up."""
+    """The last ``G92``, in mm; only grblHAL loads it at power-up."""
 
     def __post_init__(self) -> None:
         self.values = dict(self.defaults)
         self.systems = [[0.0, 0.0, 0.0] for _ in range(N_SYSTEMS + 2)]
 
     def flag(self, number: int) -> bool:
-        """Tell whether a boolean setting is on."""
+        """Return whether a boolean setting is on."""
         return self.values[number] != 0
 
     def axis_values(self, first: int) -> tuple[float, float, float]:
@@ -69,7 +69,7 @@ class Eeprom:
         return self.values[first], self.values[first + 1], self.values[first + 2]
 
     def image(self) -> bytes:
-        """Return the stored bytes; what a write changes of them decides how long it takes."""
+        """Return the stored bytes; the number of changed ones determines the duration of a write."""
         numbers = b"".join(
             struct.pack("<B", int(value) & 0xFF) if number in INTEGERS else struct.pack("<f", value)
             for number, value in self.values.items()
@@ -95,13 +95,13 @@ class Eeprom:
             return ERROR_SOFT_LIMITS
         self.values[number] = float32(value)
         if number == 22 and not value:
-            self.values[20] = 0  # soft limits mean nothing without homing
+            self.values[20] = 0  # soft limits are meaningless without homing
         return 0
 
     def store_startup(self, number: int, line: str) -> None:
-        """Store a startup line; the place of a third one reaches into the build information, whose sum is wrong then.
+        """Store a startup line; a third one would overlap the build information, whose checksum is then wrong.
 
-        Higher numbers lie in or beyond it as well, which is left out.
+        Higher numbers are in or beyond it as well, which the mock does not simulate.
         """
         if number < len(self.startup):
             self.startup[number] = line
@@ -130,7 +130,7 @@ def parse_assignment(text: str) -> tuple[int, float]:
     Raises
     ------
     SettingsError
-        When the text has another form, the setting does not exist, or its value is refused.
+        If the text has another form, the setting does not exist, or its value is rejected.
     """
     match = _ASSIGNMENT.fullmatch(text.strip())
     if match is None:
@@ -152,7 +152,7 @@ def make_eeprom(assignments: Mapping[int, float]) -> Eeprom:
     Raises
     ------
     SettingsError
-        When the board would refuse a value; the message has the board's error number.
+        If the board would reject a value; the message has the board's error number.
     """
     trial = Eeprom(defaults={**BENCH, 20: 0.0, 22: 0.0})
     wanted = {**BENCH, **assignments}

@@ -1,8 +1,8 @@
 """ROS node of the gantry controller: messages become events, actions become messages; decisions are in core.
 
-An error that nobody foresaw stops the machine, aborts the goal, and ends the process with its traceback and an exit
-code above 0: the state of the controller is not to be trusted after it, and bring-up starts a new one, which begins by
-asking for a stop if the stylus was left extended.
+An unexpected error stops the machine, aborts the goal, and ends the process with a traceback and an exit code above 0,
+because the controller's state cannot be trusted after it. Bring-up starts a new controller, which first requests a stop
+if the stylus was left extended.
 """
 
 from __future__ import annotations
@@ -19,49 +19,44 @@ from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PointStamped, PoseStamped, PoseWithCovarianceStamped, TransformStamped
 from rclpy.duration import Duration
 from sensor_msgs.msg import CameraInfo, JointState
-from std_msgs.msg import Empty, Float32, Float64MultiArray, Header, String
+from std_msgs.msg import Bool, Empty, Float32, Float64MultiArray, Header, String
 from trajectory_msgs.msg import JointTrajectory
 from visualization_msgs.msg import MarkerArray
 
-from gantry_driver.core import controller_messages as msg
-from gantry_driver.core.controller import Controller
-from gantry_driver.core.controller_config import ControllerConfig
-from gantry_driver.core.scene import PanelMap
+from gantry_driver.core.attendance.watch import SIGN_S
+from gantry_driver.core.goals import controller_messages as msg
+from gantry_driver.core.goals.controller import Controller
+from gantry_driver.core.goals.controller_config import ControllerConfig
+from gantry_driver.core.motion.scene import PanelMap
 from gantry_driver.nodes.panel_plane import plane_message
-from icu_common.adapters.processor_load import LoadMeter
+from icu_common.adapters.processes.processor_load import LoadMeter
 from icu_common.adapters.real_time import steady_s
 from icu_common.core.admission.heartbeats import HeartbeatSources
 from icu_common.core.admission.sources import rivals_text
-from icu_common.core.camera_model import CameraModel
-from icu_common.core.delays import is_delayed, with_load
-from icu_common.core.frames import BASE, CAMERA_LEFT, JOINTS, PANEL
-from icu_common.core.intent import frame_of
-from icu_common.core.results import GoalResult
-from icu_common.core.text_bounds import plain
+from icu_common.core.configuration.text_bounds import plain
+from icu_common.core.geometry.camera_model import CameraModel
+from icu_common.core.geometry.frames import BASE, CAMERA_LEFT, JOINT_STYLUS, JOINTS, PANEL
+from icu_common.core.goals.intent import frame_of
+from icu_common.core.goals.results import GoalResult
+from icu_common.core.processes.delays import is_delayed, with_load
 from icu_common.nodes import qos
 from icu_common.nodes.admission.sources import Judge, SourceWatch
-from icu_common.nodes.conversions import (
-    MAX_NAME,
+from icu_common.nodes.alignment.layout_message import layout_of_message
+from icu_common.nodes.alignment.pair_message import pair_of_message
+from icu_common.nodes.diagnostics import Diagnostics
+from icu_common.nodes.graph_node import GraphNode, this_process
+from icu_common.nodes.messages.cameras import camera_model, same_camera
+from icu_common.nodes.messages.heads import MAX_NAME, check_frame, check_not_ahead, header, stamp_ns
+from icu_common.nodes.messages.joints import joint_contact, joint_positions, trajectory_message
+from icu_common.nodes.messages.panels import controls_of_message, panel_state_of_message
+from icu_common.nodes.messages.places import (
     axes_of_message,
-    camera_model,
-    check_frame,
-    check_not_ahead,
-    controls_of_message,
-    header,
-    joint_positions,
-    panel_state_of_message,
     point_array,
     point_message,
-    result_message,
-    result_of_message,
-    same_camera,
-    stamp_ns,
-    trajectory_message,
     transform_of_message,
     transform_of_pose,
 )
-from icu_common.nodes.diagnostics import Diagnostics
-from icu_common.nodes.graph_node import GraphNode, this_process
+from icu_common.nodes.messages.results import result_message, result_of_message
 from icu_common.nodes.parameters import LiveParameters
 from icu_common.nodes.runtime import run
 from icu_common.nodes.timers import every
@@ -79,7 +74,7 @@ class ControllerNode(GraphNode):
         self._live = LiveParameters(self, ControllerConfig, self._on_config, unrest=lambda: self._controller.unrest())
         config = self._live.config
         self._controller = Controller(config)
-        # Elsewhere ROS time is wall time, or that of a recording, whose heartbeats are recorded as well.
+        # Otherwise ROS time is wall time, or that of a recording, which includes the heartbeats.
         self._wall_ns = (lambda: round(1e9 * steady_s())) if this_process.simulated else self._now_ns
         self._sources = SourceWatch(self, self._on_sources)
         self._heartbeats = HeartbeatSources(config.heartbeat_programs)
@@ -91,10 +86,17 @@ class ControllerNode(GraphNode):
         self._target = self.create_publisher(PointStamped, "target", qos.LATCHED)
         self._stop = self.create_publisher(Empty, "stop_request", qos.RESULTS)
         self._clear = self.create_publisher(PointStamped, "stylus_seen_clear", qos.RESULTS)
+        self._attending = self.create_publisher(Bool, "attending", qos.RESULTS)
+        self._attended = False
         self._plane = self.create_publisher(PoseWithCovarianceStamped, "panel/plane", qos.LATCHED)
         self._diagnostics = Diagnostics(self, "gantry controller")
         self._hear(String, "driver_state", qos.EACH_LATCHED, lambda m: msg.DriverState(text=plain(m.data)))
-        self._hear(JointState, "joint_states", qos.SENSOR, lambda m: msg.Joints(readings=joint_positions(m, JOINTS)))
+        self._hear(
+            JointState,
+            "joint_states",
+            qos.SENSOR,
+            lambda m: msg.Joints(readings=joint_positions(m, JOINTS), probe=joint_contact(m, JOINT_STYLUS)),
+        )
         self._hear(
             DiagnosticArray,
             "trajectory_result",
@@ -109,21 +111,27 @@ class ControllerNode(GraphNode):
         self._hear(TransformStamped, "calibration/camera_from_base", qos.LATCHED, _camera_from_base)
         self._hear(Float64MultiArray, "calibration/axes", qos.LATCHED, _axes)
         self._hear(Float32, "calibration/sigma", qos.LATCHED, lambda m: msg.CalibrationSigma(value_m=m.data))
+        self._see(DiagnosticArray, "stylus/pair", qos.LATCHED, lambda m: msg.PairSeen(pair=pair_of_message(m)))
+        self._hear(
+            DiagnosticArray, "stylus/layout", qos.LATCHED, lambda m: msg.LayoutSeen(deviations=layout_of_message(m))
+        )
         self._see(PointStamped, "stylus/tip", qos.SENSOR, _tip)
         self._see(Header, "stylus/unseen", qos.SENSOR, lambda m: msg.TipUnseen(stamp_ns=stamp_ns(m.stamp)))
         self._see(CameraInfo, "camera_info", qos.SENSOR, self._camera_seen)
         self._hear(Header, "heartbeat", qos.SENSOR, self._beat, self._heartbeats.judge)
-        # Last: after a hold-up executors other than that of our programs take what waits in this order.
+        self._sources.watch_clock()
+        # Last: after a hold-up, executors other than our own take waiting messages in this order.
         self._take(PointStamped, "goal", qos.COMMAND, _point_goal)
         self._take(String, "command", qos.COMMAND, lambda m: msg.Command(text=m.data))
         every(self, TICK_S, self._tick)
-        if this_process.simulated:  # a heartbeat that ends is noticed while simulated time stands still, too
+        if this_process.simulated:  # detects the end of the heartbeat even while simulated time is paused
             every(self, WALL_TICK_S, self._tick, wall=True)
+        every(self, SIGN_S, self._attend)
         every(self, DIAGNOSTICS_S, self._diagnose)
         self._handle(msg.Tick())
 
     def close(self) -> None:
-        """Hold the machine if a goal is in work, and say that nobody controls it any more."""
+        """Hold the machine if a goal is in progress, and report that the controller has ended."""
         self._act(self._controller.close(self._now_ns()))
         self._load.finish()
 
@@ -168,7 +176,7 @@ class ControllerNode(GraphNode):
         return msg.Heartbeat(age_ns=max(0, self._now_ns() - stamp) if stamp else 0)
 
     def _see(self, message_type: Any, topic: str, profile: Any, convert: Callable[[Any], msg.Event]) -> None:
-        """Hear what comes of pictures; those of the future are ignored, for they would be young for too long."""
+        """Subscribe to results of images; ignore stamps in the future, which would count as recent for too long."""
 
         def seen(message: Any) -> msg.Event:
             check_not_ahead(message if isinstance(message, Header) else message.header, self.get_clock())
@@ -177,7 +185,7 @@ class ControllerNode(GraphNode):
         self._hear(message_type, topic, profile, seen)
 
     def _camera_seen(self, message: CameraInfo) -> msg.Event:
-        # Every picture repeats the same calibration; unpacking it anew would be most of this node's work.
+        # Every image repeats the same calibration; unpacking it each time would be most of this node's work.
         if self._camera is None or not same_camera(self._camera[0], message):
             self._camera = (message, camera_model(message, "left"))
         return msg.CameraSeen(camera=self._camera[1], stamp_ns=stamp_ns(message.header.stamp))
@@ -204,12 +212,21 @@ class ControllerNode(GraphNode):
 
     def _handle(self, event: msg.Event) -> None:
         self._act(self._controller.handle(event, self._now_ns(), self._wall_ns()))
+        if bool(self._controller.goal) != self._attended:
+            self._attend()
+
+    def _attend(self) -> None:
+        """Signal to the driver that a goal is in progress, or release the machine."""
+        attends, before = bool(self._controller.goal), self._attended
+        self._attended = attends
+        if attends or before:
+            self._attending.publish(Bool(data=attends))
 
     def _act(self, actions: list[msg.Action]) -> None:
         for action in actions:
             match action:
                 case msg.SendTrajectory():
-                    # Readings are in no frame; in its place the driver reads what a trajectory is for.
+                    # Readings have no frame, so the frame id carries the intent of the trajectory for the driver.
                     head = header(action.stamp_ns, frame_of(action.intent))
                     path = action.path
                     self._trajectory.publish(trajectory_message(JOINTS, path.points, path.times_s, head))
@@ -231,7 +248,7 @@ class ControllerNode(GraphNode):
                     self._stop.publish(Empty())
 
     def _answer(self, answer: GoalResult) -> None:
-        """Publish a result; one that slowness caused names the programs that use the processor."""
+        """Publish a result; if lateness is its cause, add the programs that use the processor."""
         if is_delayed(answer):
             self._load.describe(lambda load: self._publish(with_load(answer, load)))
         else:

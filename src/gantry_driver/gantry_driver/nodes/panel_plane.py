@@ -1,7 +1,7 @@
 """The topic ``panel/plane``: the panel's plane as a pose with its covariance, in readings.
 
-The pose's position is a place on the plane, its z axis the plane's normal; x and y are the readings of the axes, z is
-minus the extension. Of the covariance only the shift along z and the turns about x and y count.
+The pose's position is a point on the plane, and its z axis is the plane's normal; x and y are the readings of the axes,
+z is minus the extension. Only the covariance of the shift along z and of the rotations about x and y counts.
 """
 
 from __future__ import annotations
@@ -10,13 +10,14 @@ import numpy as np
 from geometry_msgs.msg import PoseWithCovarianceStamped
 
 from gantry_driver.core.envelope.plane import PanelPlane
-from icu_common.core.frames import READINGS
-from icu_common.core.geometry import Array, Transform
-from icu_common.nodes.conversions import check_frame, covariance_array, estimate_message, header, transform_of_pose
+from icu_common.core.geometry.frames import READINGS
+from icu_common.core.geometry.geometry import Array, Transform
+from icu_common.nodes.messages.heads import check_frame, header
+from icu_common.nodes.messages.places import covariance_array, estimate_message, transform_of_pose
 
 _SHIFT_AND_TURNS = np.ix_([2, 3, 4], [2, 3, 4])
 _SLOPES_OF_TURNS = np.array([[-1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
-"""Extension and its slopes along x and y, of a shift along z and turns about x and y."""
+"""Matrix from a shift along z and rotations about x and y to the extension and its slopes along x and y."""
 
 
 def plane_message(plane: PanelPlane, stamp_ns: int) -> PoseWithCovarianceStamped:
@@ -31,7 +32,7 @@ def plane_message(plane: PanelPlane, stamp_ns: int) -> PoseWithCovarianceStamped
 
 
 def plane_of_message(message: PoseWithCovarianceStamped) -> PanelPlane:
-    """Unpack a plane; raise ValueError where it is none that a panel can have."""
+    """Unpack a plane; raise ValueError if no panel can have it."""
     check_frame(message.header, READINGS)
     pose = transform_of_pose(message.pose.pose)
     normal, (x, y, z) = pose.rotation[:, 2], (float(value) for value in pose.translation)

@@ -1,10 +1,9 @@
-"""Node that carries out sequences of gestures, one step after the other, and stops at the first that fails.
+"""Node that carries out sequences of gestures, one step after the other, and stops at the first failed step.
 
-``sequence`` takes the text of a sequence file (see icu_common.core.sequence), with ``id: TEXT`` as its first line if
-its answers are to be told apart. It gives the controller one command at a time, so whatever stops a gesture stops the
-sequence; between two gestures a stop ends it too, and so does an operator or a driver that is lost: none goes on when
-they are back. So does a time in which this process did nothing: whoever gave the sequence has been told since that no
-answer came.
+``sequence`` takes the text of a sequence file (icu_common.core.goals.sequence). If the first line is ``id: TEXT``, the
+answers carry this id. The node sends the controller one command at a time, so a stop of a gesture stops the sequence.
+Between two gestures, a stop or the loss of the operator or the driver ends the sequence; it does not continue when they
+return. A hold-up of this process also ends it, because the sender has meanwhile been told that no answer came.
 """
 
 from __future__ import annotations
@@ -14,42 +13,40 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticArray
 from std_msgs.msg import Empty, String
 
-from gantry_driver.core.goal_job import WORKING
-from gantry_driver.core.sequence import Action, SendCommand, SequenceConfig, SequenceRun, StopMachine
-from gantry_driver.core.world import AT_AN_END
+from gantry_driver.core.goals.goal_job import WORKING
+from gantry_driver.core.goals.obstacles import AT_AN_END
+from gantry_driver.core.goals.sequence import Action, SendCommand, SequenceConfig, SequenceRun, StopMachine
 from icu_common.adapters.real_time import steady_s
-from icu_common.core.results import GoalResult, Outcome
-from icu_common.core.sequence import Sequence, SequenceError, parse_file, unfit
-from icu_common.core.text_bounds import plain
+from icu_common.core.configuration.text_bounds import plain
+from icu_common.core.goals.results import GoalResult, Outcome
+from icu_common.core.goals.sequence import Sequence, SequenceError, parse_file, unfit
 from icu_common.nodes import qos
-from icu_common.nodes.conversions import (
-    check_not_ahead,
-    panel_state_of_message,
-    result_message,
-    result_of_message,
-)
 from icu_common.nodes.diagnostics import Diagnostics
 from icu_common.nodes.graph_node import GraphNode
+from icu_common.nodes.messages.heads import check_not_ahead
+from icu_common.nodes.messages.panels import panel_state_of_message
+from icu_common.nodes.messages.results import result_message, result_of_message
 from icu_common.nodes.parameters import LiveParameters
 from icu_common.nodes.runtime import run
 from icu_common.nodes.timers import every, runs_by_clock_topic, seconds_of
 
 TICK_S = 0.1
 HELD_UP_S = 3.0
-"""After so long without a tick nobody counts on the next step any more: the page gives up who is silent for 5 s."""
+"""Maximum seconds without a tick; a longer hold-up ends the sequence: the page abandons a sequencer silent for 5 s."""
 
 
 class SequenceNode(GraphNode):
-    """Hears ``sequence``, ``result``, ``state``, ``driver_state`` and ``panel/state``.
+    """Carries out one sequence at a time.
 
-    Publishes ``command``, ``stop_request``, ``sequence_result`` and ``sequence_state``.
+    It subscribes to ``sequence``, ``result``, ``state``, ``driver_state`` and ``panel/state``, and publishes
+    ``command``, ``stop_request``, ``sequence_result`` and ``sequence_state``.
     """
 
     def __init__(self, **options: Any) -> None:
         super().__init__("sequencer", **options)
         self._live = LiveParameters(self, SequenceConfig)
         self._run: SequenceRun | None = None
-        # A simulation that is slow holds up every node's timers, and the senders' time limits as well.
+        # A slow simulation delays the timers of every node, and the senders' time limits as well.
         self._steady_s = seconds_of(self) if runs_by_clock_topic(self) else steady_s
         self._awake_s = self._steady_s()
         self._panel: DiagnosticArray | None = None
@@ -60,7 +57,7 @@ class SequenceNode(GraphNode):
         self._answers = self.create_publisher(DiagnosticArray, "sequence_result", qos.RESULTS)
         self._state = self.create_publisher(String, "sequence_state", qos.LATCHED)
         self._diagnostics = Diagnostics(self)
-        # After a hold-up executors other than that of our programs take what waits in this order: a stop first.
+        # After a hold-up, executors other than our own take waiting messages in this order: a stop comes first.
         self.create_subscription(String, "state", self._on_controller, qos.EACH_LATCHED)
         self._drivers = self.create_subscription(String, "driver_state", self._on_driver, qos.EACH_LATCHED)
         self._results = self.create_subscription(DiagnosticArray, "result", self._on_result, qos.RESULTS)
@@ -71,12 +68,12 @@ class SequenceNode(GraphNode):
         self._state.publish(String(data="idle"))
 
     def close(self) -> None:
-        """Say that a sequence was cut short; the controller finishes the gesture it has and then rests."""
+        """Report the end of an unfinished sequence; the controller finishes its gesture and then rests."""
         if self._run is not None:
             self._act(self._run.abort("the sequencer is ending", self._now_ns()))
 
     def hindrance(self) -> str:
-        """Return why no sequence can be carried out now, empty when one can: a command to nobody would be lost."""
+        """Return why no sequence can be carried out now, empty if one can: without a controller, commands are lost."""
         heard = self._command.get_subscription_count() and self._results.get_publisher_count()
         return "" if heard else "no gantry controller listens"
 
@@ -84,7 +81,7 @@ class SequenceNode(GraphNode):
         return int(self.get_clock().now().nanoseconds)
 
     def _at_work(self) -> SequenceRun | None:
-        """Return the sequence at work; one in which this process has been held up is ended first."""
+        """Return the sequence in progress; first end one during which this process was held up."""
         before_s, self._awake_s = self._awake_s, self._steady_s()
         held_up_s = self._awake_s - before_s
         if self._run is not None and held_up_s > HELD_UP_S:
@@ -97,7 +94,7 @@ class SequenceNode(GraphNode):
         run_id = f"sequence-{self._count}"
         text = message.data
         if first.startswith("id:"):
-            # The line stays, emptied, so that errors name the lines that the sender has.
+            # The line is emptied, not removed, so that errors name the sender's line numbers.
             run_id, text = plain(first[3:60].strip()[:48]), "\n" + rest
         try:
             if (run := self._at_work()) is not None:
@@ -114,7 +111,7 @@ class SequenceNode(GraphNode):
         self._act(self._run.start(self._now_ns()))
 
     def _check(self, sequence: Sequence) -> None:
-        """Raise SequenceError for a step that the panel, as far as it has been seen, can never fulfil."""
+        """Raise SequenceError for a step that the panel, as seen so far, can never fulfil."""
         if self._panel is None:
             return
         try:
@@ -166,7 +163,7 @@ class SequenceNode(GraphNode):
     def _on_tick(self) -> None:
         if (run := self._at_work()) is not None:
             at_rest = self._controller.partition(":")[0] not in WORKING or bool(self.hindrance())
-            # One that died in the middle of a motion still "moves" by its latched state.
+            # After a driver has died during a motion, its latched state is still "moving".
             driver = self._driver if self._drivers.get_publisher_count() else ""
             self._act(run.tick(self._now_ns(), at_rest=at_rest, driver=driver))
 

@@ -1,11 +1,12 @@
 """The serial driver's node: topics and services on one side, the guard of the machine on the other.
 
-The guard is a process of its own with the serial port and the protocol; the node finds or starts it. Callbacks convert
+The guard is a separate process with the serial port and the protocol; the node finds or starts it. Callbacks convert
 messages and send commands, one thread reads from the guard, and another one publishes. So neither a busy executor nor
-a slow transport delays a stop, and when this process ends or hangs, the guard holds and lifts by itself.
+a slow transport delays a stop. If this process ends or hangs, the guard holds the machine and lifts the stylus itself.
 
-A lifecycle node: configured, it has the port and watches the board; active, it moves what it is asked to. With the
-parameter ``autostart`` it takes both steps by itself. Its topics and services are there in every state and say why not.
+It is a lifecycle node: configured, it owns the port and monitors the board; active, it carries out motions. With the
+parameter ``autostart`` it takes both steps itself. Its topics and services exist in every state; a rejection gives the
+reason.
 """
 
 from __future__ import annotations
@@ -24,35 +25,32 @@ from geometry_msgs.msg import PointStamped, PoseWithCovarianceStamped
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Empty, Header, String
+from std_msgs.msg import Bool, Empty, Header, String
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from gantry_driver.adapters.guard.client import GuardLink
+from gantry_driver.core.attendance.watch import SIGN_S, Attendance, silent_text
+from gantry_driver.core.grbl.trajectory_bytes import max_bytes, read_head, refusal
+from gantry_driver.core.grbl.trajectory_gcode import Waypoint
 from gantry_driver.core.guard.messages import config_values
-from gantry_driver.core.machine_config import DriverConfig
-from gantry_driver.core.machine_states import Answered, Event, Note, Position, StateChanged
-from gantry_driver.core.trajectory_bytes import max_bytes, read_head, refusal
-from gantry_driver.core.trajectory_gcode import Waypoint
+from gantry_driver.core.machine.machine_config import DriverConfig
+from gantry_driver.core.machine.machine_states import Answered, Event, Note, Position, StateChanged
 from gantry_driver.nodes.panel_plane import plane_of_message
 from icu_common.adapters.direct_stop.line import stop_path
 from icu_common.adapters.real_time import DRIVER, ask_for_real_time, is_real_time
-from icu_common.adapters.step_ledger import BYTES_READ, BYTES_WRITTEN
+from icu_common.adapters.steps.step_ledger import BYTES_READ, BYTES_WRITTEN
 from icu_common.core.admission.heartbeats import HeartbeatSources
 from icu_common.core.admission.sources import base_name, distrust_text
-from icu_common.core.frames import JOINTS
-from icu_common.core.intent import Intent, read_frame
-from icu_common.core.text_bounds import plain
+from icu_common.core.configuration.text_bounds import plain
+from icu_common.core.geometry.frames import JOINTS
+from icu_common.core.goals.intent import Intent, read_frame
 from icu_common.nodes.admission.sources import SourceWatch
-from icu_common.nodes.conversions import (
-    diagnostic_status,
-    header,
-    joint_message,
-    result_message,
-    stamp_ns,
-)
 from icu_common.nodes.diagnostics import sender_values
 from icu_common.nodes.graph_node import GraphLifecycleNode, this_process
+from icu_common.nodes.messages.heads import header, stamp_ns
+from icu_common.nodes.messages.joints import joint_message
+from icu_common.nodes.messages.results import diagnostic_status, result_message
 from icu_common.nodes.parameters import LiveParameters
 from icu_common.nodes.qos import COMMAND, LATCHED, RESULTS, SENSOR
 from icu_common.nodes.runtime import run
@@ -64,7 +62,7 @@ CONTROLLER = "gantry_controller"
 """Node whose trajectories may be drags and turns."""
 LINK_CHECK_S = 0.5
 PUBLISH_WITHIN_S = 2.0
-"""For what is still to be published when the driver ends."""
+"""Maximum seconds to publish the remaining messages when the driver ends."""
 LINK_ENDED = "the thread of the guard has ended"
 LEVELS = {
     **dict.fromkeys(("idle", "moving", "homing"), "ok"),
@@ -94,16 +92,20 @@ class SerialDriverNode(GraphLifecycleNode):
         self._link: GuardLink = self._make_link()
         self._heartbeats = HeartbeatSources(config.heartbeat_programs)
         self._sources = SourceWatch(self, self._on_sources)
+        self._attendance = Attendance()
         self._sources.subscribe(JointTrajectory, "trajectory", self._on_trajectory_bytes, COMMAND, raw=True)
         self._sources.subscribe(PointStamped, "stylus_seen_clear", self._on_seen_clear, RESULTS)
         self._sources.subscribe(PoseWithCovarianceStamped, "panel/plane", self._on_plane, LATCHED)
+        self._sources.subscribe(Bool, "attending", self._on_attending, RESULTS)
         self._sources.subscribe(Header, "heartbeat", self._on_heartbeat, SENSOR, self._heartbeats.judge)
+        self._sources.watch_clock()
         self.create_service(Trigger, "home", self._on_home)
         self.create_service(Trigger, "stop", self._on_stop)
         self.create_service(Trigger, "reset", self._on_reset)
         self.create_service(Trigger, "accept_settings", self._on_accept)
         self.create_service(Trigger, "write_settings", self._on_write)
         self.create_service(SetBool, "enable", self._on_enable)
+        every(self, SIGN_S, self._check_attendance)
         every(self, 1.0, self._publish_diagnostics)
         every(self, LINK_CHECK_S, self._check_link, wall=True)
         self.add_clock_listener(self._on_step)
@@ -112,7 +114,7 @@ class SerialDriverNode(GraphLifecycleNode):
             self.trigger_activate()
 
     def close(self) -> None:
-        """Hold, lift the stylus, say so, and close the port."""
+        """Hold, lift the stylus, report it, and close the port."""
         self._close_link()
         self._outbox.put(None)
         self._publisher.join(PUBLISH_WITHIN_S)
@@ -127,7 +129,7 @@ class SerialDriverNode(GraphLifecycleNode):
     # --- lifecycle -------------------------------------------------------------------------------------------------
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Open the port, or keep trying to, and watch the board."""
+        """Open the port, or keep trying, and monitor the board."""
         if threading.current_thread() is threading.main_thread():
             self._old_wakeup_fd = signal.set_wakeup_fd(self._link.wakeup_fd, warn_on_full_buffer=False)
         self._link.start()
@@ -135,23 +137,23 @@ class SerialDriverNode(GraphLifecycleNode):
         return super().on_configure(state)
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Let the machine move."""
+        """Allow motion."""
         self._link.ask("activate", on=True)
         return super().on_activate(state)
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Stop what moves; go on watching the board."""
+        """Stop the machine; continue to monitor the board."""
         self._link.ask("activate", on=False)
         return super().on_deactivate(state)
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Bring the machine to rest and give the port back."""
+        """Bring the machine to rest and release the port."""
         self._close_link()
         self._link = self._make_link()
         return super().on_cleanup(state)
 
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Do as for cleanup; there is no way back from here."""
+        """Do the same as for cleanup; this state is final."""
         return self.on_cleanup(state)
 
     def _make_link(self) -> GuardLink:
@@ -164,7 +166,7 @@ class SerialDriverNode(GraphLifecycleNode):
         )
 
     def _link_time(self) -> Callable[[], float] | None:
-        """Return the source of the machine's time, which the guard gets in steps; None if the guard's clock serves."""
+        """Return the source of the machine's time, which the guard gets in steps; None to use the guard's clock."""
         ledger = this_process.ledger
         if ledger is not None and this_process.simulated:
             return lambda: ledger.time_ns / 1e9
@@ -207,9 +209,20 @@ class SerialDriverNode(GraphLifecycleNode):
         if self._heartbeats.heard(message.frame_id, time.monotonic()):
             self._sources.look("heartbeat")
         stamp = stamp_ns(message.stamp)
-        # One that was long under way must not count as fresh; one from the future counts as now.
+        # A trajectory that was long in transit must not count as new; a stamp in the future counts as now.
         age_s = max(0.0, (self._now_ns() - stamp) / 1e9) if stamp else 0.0
         self._link.tell("heartbeat", age_s=age_s)
+
+    def _on_attending(self, message: Bool) -> None:
+        self._attendance.take(bool(message.data), self._now_ns() / 1e9)
+
+    def _check_attendance(self) -> None:
+        """Stop a machine that moves or presses for a controller that has ended or hangs."""
+        silent_s = self._attendance.silent_s(self._now_ns() / 1e9)
+        if silent_s > self._live.config.attendance_timeout_s:
+            self._attendance.forget()
+            if self._unrest():
+                self._link.stop(silent_text(silent_s))
 
     def _on_seen_clear(self, message: PointStamped) -> None:
         age_s, height_m = (self._now_ns() - stamp_ns(message.header.stamp)) / 1e9, float(message.point.z)
@@ -287,15 +300,16 @@ class SerialDriverNode(GraphLifecycleNode):
     def _publish_events(self, events: list[Event], stamp: int) -> None:
         for event in events:
             if isinstance(event, Position):
-                self._joint_states.publish(joint_message(JOINTS, event.reading_m, header(stamp, "")))
+                self._joint_states.publish(joint_message(JOINTS, event.reading_m, header(stamp, ""), event.probe))
             elif isinstance(event, StateChanged):
-                self.get_logger().info(event.text)
+                if event.logged:
+                    self.get_logger().info(event.text)
                 self._state.publish(String(data=event.text))
             elif isinstance(event, Answered):
                 self._results.publish(result_message(event.result, stamp))
             elif isinstance(event, Note) and event.level == "error":
                 self.get_logger().error(event.text)
-            elif isinstance(event, Note):  # a line of its own: rclpy raises where one logs on two levels
+            elif isinstance(event, Note):  # a separate call: rclpy raises if one line logs at two levels
                 self.get_logger().warning(event.text)
 
     def _publish_diagnostics(self) -> None:
@@ -341,7 +355,7 @@ def _fill(response: Any, refusal: str, success: str) -> Any:
 
 
 def make_node(**node_arguments: Any) -> SerialDriverNode:
-    """Return the node of a process of its own: what is there now stays, and no collection of garbage visits it."""
+    """Return the node of a separate process; the garbage collector skips all objects that exist at this point."""
     node = SerialDriverNode(**node_arguments)
     gc.collect()
     gc.freeze()
@@ -351,7 +365,7 @@ def make_node(**node_arguments: Any) -> SerialDriverNode:
 def main() -> int:
     if refusal := ask_for_real_time(DRIVER):
         print(f"serial_driver: {refusal}; under load a stop may take longer, see README, Hardware", file=sys.stderr)
-    signal.signal(signal.SIGTSTP, signal.SIG_IGN)  # Put aside by Ctrl-Z, it could not hold.
+    signal.signal(signal.SIGTSTP, signal.SIG_IGN)  # A driver suspended by Ctrl-Z could not hold the machine.
     return run(make_node, shared_memory=False)
 
 

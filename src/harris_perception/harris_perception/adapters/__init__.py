@@ -1,1 +1,1 @@
-"""What touches the world; no rclpy."""
+"""Access to devices, files and sockets; no rclpy."""

@@ -1,4 +1,4 @@
-"""Pictures with boundaries that people drew, in the form of BSDS500, from files."""
+"""Images with boundaries drawn by people, in the form of BSDS500, from files."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from harris_perception.adapters.picture_files import SUFFIXES, read_bgr
 
 
 def drawn_pictures(folder: Path) -> list[tuple[Path, Path]]:
-    """Return pictures and their .mat files below a folder, by name.
+    """Return images and their .mat files below a folder, by name.
 
-    The picture lies beside <name>.mat, or in ``images`` where that is in ``groundTruth``.
+    The image is next to <name>.mat, or in ``images`` if the .mat file is in ``groundTruth``.
 
     Raises
     ------
     ValueError
-        If a picture is missing.
+        If an image is missing.
     """
     found = []
     for path in sorted(folder.rglob("*.mat"), key=lambda p: (p.name, p)):
@@ -35,12 +35,12 @@ def _candidates(path: Path) -> Iterator[Path]:
     parts = path.parent.absolute().parts
     others = [Path(*parts[:i], "images", *parts[i + 1 :]) for i, part in enumerate(parts) if part == "groundTruth"]
     for folder in (path.parent, *others):
-        # Compared whole: a name may hold dots, and what a pattern takes for one of its own.
+        # Whole names are compared: a name may contain dots and the characters of a glob pattern.
         yield from (p for p in sorted(folder.glob("*")) if p.stem == path.stem and p.suffix.lower() in SUFFIXES)
 
 
 def read_drawn(picture: Path, path: Path) -> tuple[npt.NDArray[np.uint8], list[npt.NDArray[np.bool_]]]:
-    """Read a picture (H, W, 3) uint8, BGR, and what each person drew in it, (H, W) each.
+    """Read an image (H, W, 3) uint8, BGR, and the boundaries that each person drew in it, (H, W) each.
 
     Raises
     ------
@@ -55,7 +55,7 @@ def read_drawn(picture: Path, path: Path) -> tuple[npt.NDArray[np.uint8], list[n
     try:
         persons = loadmat(str(path))["groundTruth"].ravel()
         drawings = [np.ascontiguousarray(person["Boundaries"][0, 0] != 0) for person in persons]
-    except Exception as error:  # what is no such file can fail anywhere within scipy
+    except Exception as error:  # scipy may raise anything for a file of another kind
         raise ValueError(f"{path} cannot be read as groundTruth with Boundaries of each person: {error}") from error
     if not drawings:
         raise ValueError(f"{path} holds the drawings of 0 persons, at least 1 is needed")

@@ -1,4 +1,4 @@
-"""The thread that reads a camera source, and what it does when the source fails: say so, wait, open again."""
+"""Thread that reads a camera source; after a failure it reports, waits and reopens the source."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _TURN_S = 0.2
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CaptureStatus:
-    """What the capture thread is doing: ``state`` is opening, running, waiting (to open again) or ended."""
+    """State of the capture thread: ``state`` is opening, running, waiting (before reopening) or ended."""
 
     state: str
     reason: str = ""
@@ -23,22 +23,24 @@ class CaptureStatus:
 
 
 class Capture:
-    """Reads a source in a thread of its own and hands every set of pictures to ``on_frames`` in that thread.
+    """Reads a source in its own thread and passes every set of images to ``on_frames`` in that thread.
 
     Parameters
     ----------
     open_source
-        Opens the source; called again after every failure. It gets the event that is set when the capture stops.
+        Opens the source; called again after every failure. Its argument is the event that is set when the capture
+        stops.
     on_frames
-        Takes the pictures.
+        Receives the images.
     on_failure
-        Gets a sentence for the log after every failure.
+        Receives a sentence for the log after every failure.
     read_timeout_s
-        A source that is silent for longer has failed.
+        Time without an image after which a source has failed.
     retry_min_s, retry_max_s
-        First and longest pause before opening again; the pause doubles until pictures come.
+        First and longest pause before reopening; the pause doubles until images arrive.
     clock
-        Seconds by which the silence of a source is measured: a simulated camera is silent while its time stands still.
+        Clock, in seconds, that measures the time without an image. A simulated camera sends nothing while simulated
+        time stands still.
     """
 
     def __init__(
@@ -60,19 +62,19 @@ class Capture:
         self._thread = threading.Thread(target=self._run, name="capture", daemon=True)
 
     def set_waits(self, *, read_timeout_s: float, retry_min_s: float, retry_max_s: float) -> None:
-        """Wait otherwise from now on; a pause that has begun stays as it is."""
+        """Change the waiting times; a pause that has already begun does not change."""
         self._read_timeout_s, self._retry_min_s, self._retry_max_s = read_timeout_s, retry_min_s, retry_max_s
 
     @property
     def status(self) -> CaptureStatus:
-        """The newest status; replaced as a whole."""
+        """The latest status; replaced as a whole."""
         return self._status
 
     def start(self) -> None:
         self._thread.start()
 
     def stop(self, within_s: float = 3.0) -> bool:
-        """End the thread and return whether it has ended (a device driver may hold it longer)."""
+        """Stop the thread and return whether it has ended (a device driver may block it longer)."""
         self._stop.set()
         if self._thread.ident is not None:
             self._thread.join(within_s)
@@ -88,10 +90,10 @@ class Capture:
                 self._set("ended", str(end))
                 return
             except Exception as error:
-                # Of a thread's error nobody hears, and the node would say "running" for ever: OpenCV's are of its own
-                # kind, and what a place's name does to the standard library is of any.
+                # An uncaught error would end the thread silently, and the node would report "running" forever. OpenCV
+                # has error types of its own, and a path may make the standard library raise any type.
                 why = str(error) if isinstance(error, SourceError) else f"error while reading: {error!r}"
-                why = why.encode(errors="backslashreplace").decode()  # names of files may be no UTF-8, messages not
+                why = why.encode(errors="backslashreplace").decode()  # file names need not be UTF-8, messages must be
                 if self._status.pictures > before:
                     pause_s = self._retry_min_s
                 pause_s = min(max(pause_s, self._retry_min_s), self._retry_max_s)

@@ -1,4 +1,4 @@
-"""Pictures and sequences with known homographies from files."""
+"""Images and image sequences with known homographies from files."""
 
 from __future__ import annotations
 
@@ -12,36 +12,37 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from harris_perception.core.repeatability import Pair
+from harris_perception.core.evaluation.repeatability import Pair
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".ppm", ".pgm", ".tif", ".tiff", ".webp")
-"""Of the files in a folder that are taken for pictures, in small letters."""
+"""Suffixes, in lower case, of the files in a folder that are read as images."""
 
 
 def read_gray(path: Path) -> npt.NDArray[np.uint8]:
-    """Read a picture as (H, W) uint8; one of more than 8 bits is stretched to its largest value.
+    """Read an image as (H, W) uint8; an image with more than 8 bits is scaled to its largest value.
 
     Raises
     ------
     ValueError
-        If the file is missing, no picture, or has more pixels than OpenCV reads.
+        If the file is missing, is no image, or has more pixels than OpenCV reads.
     """
     return _eight_bits(read_deep_gray(path))
 
 
 def read_sensor_gray(path: Path) -> npt.NDArray[np.uint8]:
-    """Read a picture as the sensor has it, however the camera was held (EXIF); else as :func:`read_gray`.
+    """Read an image in the sensor's orientation, ignoring EXIF; otherwise like :func:`read_gray`.
 
-    A lens has its centre and its distortion on the sensor.
+    A lens's centre and distortion are fixed to the sensor.
     """
     how = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION
     return _eight_bits(_stretched(_read(path, how)))
 
 
 def read_deep_gray(path: Path) -> npt.NDArray[Any]:
-    """Read a picture as (H, W) uint8, or float32 from 0 to 255 if it has more than 8 bits; raises as above.
+    """Read an image as (H, W) uint8, or as float32 from 0 to 255 if it has more than 8 bits.
 
-    One in colour is stretched as :func:`read_bgr` does, so that the strengths of both are of one unit.
+    Raises like :func:`read_gray`. A colour image is scaled like :func:`read_bgr` does, so that the strengths of both
+    have the same unit.
     """
     gray = _read(path, cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH)
     if gray.dtype == np.uint8:
@@ -51,7 +52,7 @@ def read_deep_gray(path: Path) -> npt.NDArray[Any]:
 
 
 def read_bgr(path: Path) -> npt.NDArray[np.uint8]:
-    """Read a picture as (H, W, 3) uint8; stretches and raises as :func:`read_gray`."""
+    """Read an image as (H, W, 3) uint8; scales and raises like :func:`read_gray`."""
     picture = _eight_bits(_stretched(_read(path, cv2.IMREAD_ANYCOLOR | cv2.IMREAD_ANYDEPTH)))
     return picture if picture.ndim == 3 else np.repeat(picture[:, :, None], 3, axis=2)
 
@@ -61,7 +62,7 @@ def _stretched(picture: npt.NDArray[Any]) -> npt.NDArray[Any]:
         return picture
     values = picture.astype(np.float32)
     known = np.isfinite(values)
-    values -= values.min(initial=0.0, where=known)  # what is negative is above the lowest, not black
+    values -= values.min(initial=0.0, where=known)  # negative values are relative to the lowest value, not black
     top = float(values.max(initial=0.0, where=known))
     return values * np.float32(255.0 / top if top > 0.0 else 0.0)
 
@@ -80,14 +81,15 @@ def _read(path: Path, how: int) -> npt.NDArray[Any]:
 
 
 def decoded(path: Path, how: int) -> npt.NDArray[Any] | None:
-    """Return what OpenCV reads of a file, by its flags for ``imread``, or None.
+    """Return what OpenCV decodes from a file with the flags of ``imread``, or None.
 
-    OpenCV is given the bytes: a name that is not UTF-8 (of an old disk, or of another system) ends the process in it.
+    The file is read here and OpenCV gets the bytes: a name that is not UTF-8 (from an old disk or another system) makes
+    OpenCV terminate the process.
 
     Raises
     ------
     ValueError
-        If the file is missing or may not be read, or has more pixels than OpenCV reads.
+        If the file is missing or may not be read, or the image has more pixels than OpenCV reads.
     """
     if not path.exists():
         raise ValueError(f"{path} does not exist")
@@ -102,15 +104,15 @@ def decoded(path: Path, how: int) -> npt.NDArray[Any] | None:
 
 
 def write_picture(path: Path, picture: npt.NDArray[Any]) -> None:
-    """Write a picture in the format of its name's suffix.
+    """Write an image in the format of its name's suffix.
 
-    ``imwrite`` would not notice that a small one did not fit on the disk, and end the process by a name that is not
-    UTF-8.
+    ``imwrite`` does not detect that a small image did not fit on the disk, and terminates the process for a name that
+    is not UTF-8.
 
     Raises
     ------
     ValueError
-        If the format is not known, or holds no such picture, as one for grey holds none in colour.
+        If the format is unknown or cannot store the image, for example a grey format a colour image.
     OSError
         If the file cannot be written.
     """
@@ -118,13 +120,13 @@ def write_picture(path: Path, picture: npt.NDArray[Any]) -> None:
         done, encoded = cv2.imencode(path.suffix, picture)
     except cv2.error as error:
         raise ValueError(f"{path} cannot be written: {error.err}") from error
-    if not done:  # OpenCV 5 raises no error for what it finds on the way
+    if not done:  # OpenCV 5 raises no error when encoding fails
         raise ValueError(f"{path} cannot be written: {path.suffix} holds no {picture.dtype} of shape {picture.shape}")
     write_file(path, encoded.tobytes())
 
 
 def write_file(path: Path, data: bytes) -> None:
-    """Write a file, and name it in the ``OSError`` if it cannot be: that of a full disk does not."""
+    """Write a file; name it in the ``OSError`` on failure, which the error of a full disk does not."""
     try:
         path.write_bytes(data)
     except OSError as error:
@@ -132,15 +134,15 @@ def write_file(path: Path, data: bytes) -> None:
 
 
 _LAYOUTS = (("img", "H1to{}p"), ("", "H_1_{}"))
-"""Names of pictures and homographies: sequences of K. Mikolajczyk, and HPatches (V. Balntas et al., CVPR 2017)."""
+"""Names of images and homographies: sequences of K. Mikolajczyk, and HPatches (V. Balntas et al., CVPR 2017)."""
 _ENDINGS = (".txt", ".xml")
-"""Which homographies may have; the second is OpenCV's, for the same sequences."""
+"""Suffixes of homography files; the second is OpenCV's, for the same sequences."""
 _HPATCHES = {"i_": "HPatches light", "v_": "HPatches viewpoint"}
 
 
 @dataclass(frozen=True, slots=True)
 class Sequence:
-    """Pictures of one plane: what changes, the first, and by number the others and second_from_first (3, 3) of each."""
+    """Images of one plane: kind of change, first image, and by number the others with second_from_first (3, 3)."""
 
     change: str
     first: Path
@@ -148,7 +150,7 @@ class Sequence:
     homographies: dict[int, npt.NDArray[np.float64]]
 
     def pairs(self) -> Iterator[Pair]:
-        """Read the pairs 1-2 to 1-n; their amount is the picture's number. All share one first picture."""
+        """Read the pairs 1-2 to 1-n, which share the first image; the amount of change is the second image's number."""
         first = read_gray(self.first)
         for number, path in self.others.items():
             yield Pair(self.change, float(number), first, read_gray(path), self.homographies[number])
@@ -157,15 +159,15 @@ class Sequence:
 def sequences(folder: Path) -> Iterator[Sequence]:
     """Yield the sequences below a folder: img1.., H1to2p.. (also .txt, .xml), or as HPatches 1.., H_1_2...
 
-    What changes is a sequence's name; those of HPatches count together as light (i_...) and viewpoint (v_...).
+    The kind of change is the sequence's name; for HPatches it is light (i_...) or viewpoint (v_...).
 
     Raises
     ------
     ValueError
-        If of a picture and its homography one is missing, or a homography is none.
+        If an image has no homography or a homography no image, or a homography is invalid.
     """
     for prefix, form in _LAYOUTS:
-        # A folder at a time: its pictures may be there in several formats.
+        # One folder at a time: it may hold its images in several formats.
         for place in sorted({p.parent for p in folder.rglob(f"{prefix}1.*") if p.suffix.lower() in SUFFIXES}):
             beside = sorted(place.iterdir())
             known = _numbered(form, {p.stem if p.suffix in _ENDINGS else p.name: p for p in beside})
@@ -175,14 +177,14 @@ def sequences(folder: Path) -> Iterator[Sequence]:
             for number in sorted((known.keys() | {1}) ^ pictures.keys()):
                 missing = form.format(number) if number in pictures else f"{prefix}{number}.*"
                 raise ValueError(f"{place / missing} is missing")
-            name = place.resolve().name.encode(errors="backslashreplace").decode()  # it need not be UTF-8
+            name = place.resolve().name.encode(errors="backslashreplace").decode()  # the name need not be UTF-8
             change = name if prefix else _HPATCHES.get(name[:2], name)
             homographies = {number: _homography(known[number]) for number in sorted(known)}
             yield Sequence(change, pictures[1], {number: pictures[number] for number in homographies}, homographies)
 
 
 def _numbered(form: str, files: dict[str, Path]) -> dict[int, Path]:
-    """Return those files of which the name is ``form`` with a number at {}, by that number."""
+    """Return the files whose name is ``form`` with a number at {}, by that number."""
     matches = ((re.fullmatch(re.escape(form).replace(r"\{\}", "([0-9]+)"), name), path) for name, path in files.items())
     return {int(match[1]): path for match, path in matches if match}
 

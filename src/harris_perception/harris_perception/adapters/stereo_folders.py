@@ -1,4 +1,4 @@
-"""Rectified pairs with known disparity from folders, in the forms in which such pictures are handed out."""
+"""Rectified pairs with known disparity from folders, in the forms in which such images are distributed."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ import numpy as np
 import numpy.typing as npt
 
 from harris_perception.adapters.picture_files import SUFFIXES, decoded, read_gray
-from harris_perception.core.stereo_evaluation import StereoScene
+from harris_perception.core.evaluation.stereo_evaluation import StereoScene
 
 FORMS = (("L", "R", "GT"), ("_left", "_right", "_disp"), ("im0", "im1", "disp0"), ("view1", "view5", "disp1"))
-"""Ends of the names, without suffix, of the left picture, the right one and the disparity of the left one."""
+"""Name endings, without suffix, of the left image, the right image and the left image's disparity."""
 _TRUTH_SUFFIXES = (".npz", ".npy", ".pfm", ".png")
 
 
@@ -28,17 +28,17 @@ def scenes(folder: Path, truth_scale: float = 1.0, scale: float = 1.0) -> Iterat
     Parameters
     ----------
     folder
-        Holds, at any depth, a left and a right picture and the left one's disparity in px: grey values (0 = unknown),
+        Contains, at any depth, a left and a right image and the left one's disparity in px: grey values (0 = unknown),
         or npz, npy, pfm with floats (not finite = unknown).
     truth_scale
-        Pixels of disparity for each unit in the file.
+        Pixels of disparity per unit in the file.
     scale
-        Pictures and disparities are made smaller by this; at most 1.
+        Factor by which images and disparities are reduced; at most 1.
 
     Raises
     ------
     ValueError
-        If there is none, a file cannot be read, or its size is not that of the other two.
+        If there are no pairs, a file cannot be read, or its size differs from that of the other two.
     """
     if not 0.05 <= scale <= 1.0:
         raise ValueError(f"scale {scale:g}: from 0.05 to 1 is possible")
@@ -60,7 +60,7 @@ def scenes(folder: Path, truth_scale: float = 1.0, scale: float = 1.0) -> Iterat
     folders = Counter(left.resolve().parent.name for _, left, _, _ in found)
     for stem, left, right, truth in found:
         name = left.resolve().parent.name
-        if folders[name] > 1:  # results are filed by name: several pairs in one folder, or folders of one name
+        if folders[name] > 1:  # results are stored by name: several pairs may be in one folder, or folders share a name
             name = "_".join(part for part in (*left.relative_to(folder).parent.parts, stem.rstrip("_")) if part)
         yield _scene(name, left, right, truth, truth_scale, scale)
 
@@ -68,7 +68,7 @@ def scenes(folder: Path, truth_scale: float = 1.0, scale: float = 1.0) -> Iterat
 def _scene(name: str, left: Path, right: Path, truth: Path, truth_scale: float, scale: float) -> StereoScene:
     pictures = [read_gray(path) for path in (left, right)]
     disparity = _disparity(truth) * np.float32(truth_scale)
-    whole = StereoScene(name=name, left=pictures[0], right=pictures[1], truth=disparity)  # also when made smaller
+    whole = StereoScene(name=name, left=pictures[0], right=pictures[1], truth=disparity)  # also checked when reduced
     if scale == 1.0:
         return whole
     height, width = disparity.shape
@@ -100,10 +100,10 @@ def _disparity(path: Path) -> npt.NDArray[np.float32]:
 
 
 def _pfm(content: bytes) -> npt.NDArray[np.float32]:
-    """Return (H, W) float32 of a portable float map, which begins with the lowest row.
+    """Return (H, W) float32 of a portable float map, which starts with the lowest row.
 
-    The scale's sign tells the order of the bytes and its size nothing (vision.middlebury.edu/stereo/submit3,
-    upload-format.html); OpenCV divides by it, which makes Middlebury's own disparities 255 times as large.
+    The sign of the scale gives the byte order; its size has no meaning (vision.middlebury.edu/stereo/submit3,
+    upload-format.html). OpenCV divides by it, which makes Middlebury's own disparities 255 times too large.
     """
     head = re.match(rb"Pf\s+(\d+)\s+(\d+)\s+(\S+)\s", content)
     if head is None:

@@ -16,9 +16,9 @@ import yaml
 
 from harris_perception.adapters.camera_sources import SourceError, picture_files
 from harris_perception.adapters.picture_files import read_sensor_gray, write_picture
-from harris_perception.core.board import PAPERS_MM, Board, board_pdf, board_svg
-from harris_perception.core.board_detection import BoardDetector, BoardView, size_shown
-from harris_perception.core.camera_calibration import (
+from harris_perception.core.cameras.board import PAPERS_MM, Board, board_pdf, board_svg
+from harris_perception.core.cameras.board_detection import BoardDetector, BoardView, size_shown
+from harris_perception.core.cameras.camera_calibration import (
     INTRINSICS,
     CalibrationConfig,
     CameraCalibration,
@@ -28,11 +28,11 @@ from harris_perception.core.camera_calibration import (
     calibrate_stereo,
     residual_picture,
 )
-from harris_perception.core.view_coverage import CalibrationError, coverage
-from icu_common.adapters.program_end import ends_quietly
-from icu_common.core.camera_model import CameraModel
-from icu_common.core.config import settings_of
-from icu_common.core.option_bounds import check_bounds, named_path
+from harris_perception.core.cameras.view_coverage import CalibrationError, coverage
+from icu_common.adapters.processes.program_end import ends_quietly
+from icu_common.core.configuration.config import settings_of
+from icu_common.core.configuration.option_bounds import check_bounds, named_path
+from icu_common.core.geometry.camera_model import CameraModel
 
 Say: TypeAlias = Callable[[str], None]
 
@@ -45,7 +45,7 @@ def _columns_by_rows(text: str) -> tuple[int, int]:
 
 
 def _camera_name(text: str) -> str:
-    # camera_info_manager takes letters, digits and underscores only.
+    # camera_info_manager accepts only letters, digits and underscores.
     if not re.fullmatch(r"\w+", text, re.ASCII):
         raise argparse.ArgumentTypeError(f"{text!r}: a name of letters, digits and '_' is needed")
     return text
@@ -73,7 +73,7 @@ def _config(options: argparse.Namespace) -> CalibrationConfig:
 def _telling() -> Iterator[Say]:
     """Collect lines and print them at the end, also before an error.
 
-    Results are written by then: whoever reads may go, as ``head`` does.
+    Results are written by then, so a reader such as ``head`` may have ended.
     """
     lines: list[str] = []
     try:
@@ -83,7 +83,7 @@ def _telling() -> Iterator[Say]:
 
 
 def _detect_all(board: Board, files: Sequence[Path], what: str) -> list[BoardView | None]:
-    """Look for the board in every file, with a bar on standard error where somebody sees it."""
+    """Search for the board in every file, with a progress bar on standard error if that is a terminal."""
     shown, detector = sys.stderr.isatty(), BoardDetector(board)
     views = []
     for i, file in enumerate(files, start=1):
@@ -97,7 +97,7 @@ def _detect_all(board: Board, files: Sequence[Path], what: str) -> list[BoardVie
 
 
 def _require_some(board: Board, files: Sequence[Path], views: Sequence[BoardView | None], say: Say) -> None:
-    """Tell which files do not show the board; refuse when none does, with the size that would fit if there is one."""
+    """Report the files without the board; raise an error if all lack it, with a matching board size if there is one."""
     lost = [file.name for file, view in zip(files, views) if view is None]
     if len(lost) < len(files):
         if lost:
@@ -123,7 +123,7 @@ def _number(file: Path) -> int | None:
 def _paired(left: Sequence[Path], right: Sequence[Path], say: Say) -> list[tuple[Path, Path]]:
     """Pair files by the last number in their names; by order where there are no numbers.
 
-    One without a number among others, as the residuals of an earlier calibration, has no partner.
+    A file without a number among numbered ones, such as the residuals of an earlier calibration, has no partner.
     """
     numbered = [[(n, file) for file in side if (n := _number(file)) is not None] for side in (left, right)]
     by_number = [dict(side) for side in numbered]
@@ -213,7 +213,7 @@ def _finish(folder: Path, report: dict[str, Any], written: Sequence[Path], say: 
 
 def _capture(options: argparse.Namespace, board: Board, topics: Sequence[str], folders: Sequence[Path]) -> None:
     """Fill the folders from live topics."""
-    # Only here, so that everything else runs where ROS is not installed.
+    # Imported only here, so that everything else runs without ROS.
     from harris_perception.nodes.calibration_capture import capture
     from icu_common.nodes.topic_names import check_names
 
@@ -224,7 +224,7 @@ def _capture(options: argparse.Namespace, board: Board, topics: Sequence[str], f
             raise CalibrationError(f"{folder} is not empty: give new folders for live pictures")
 
     def say(line: str) -> None:
-        with contextlib.suppress(OSError):  # whoever reads may have gone: the views count
+        with contextlib.suppress(OSError):  # the reader may have ended: the views matter
             print(line, flush=True)
 
     say(f"listening to {', '.join(topics)}; Ctrl-C ends it and calibrates with what there is")
@@ -272,7 +272,7 @@ def mono(options: argparse.Namespace) -> int:
 
 
 def stereo(options: argparse.Namespace) -> int:
-    if options.names[0] == options.names[1]:  # results are filed by them
+    if options.names[0] == options.names[1]:  # the names identify the results
         raise ValueError(f"--names {' '.join(options.names)}: two different names are needed")
     check_bounds(options, views=(1, math.inf), within=(0, math.inf))
     board, config = _board(options), _config(options)
@@ -360,13 +360,13 @@ def _parser() -> argparse.ArgumentParser:
 
 @ends_quietly
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command; errors in what the user gave end with code 2 and one line."""
+    """Run the command; errors in the user's input end with code 2 and one line."""
     options = _parser().parse_args(arguments)
     try:
         return int(options.run(options))
     except (ValueError, OSError, SourceError) as error:
         with contextlib.suppress(OSError):
-            sys.stdout.flush()  # what was told comes before it, also in a log
+            sys.stdout.flush()  # earlier output precedes the error, also in a log
         print(f"error: {error}", file=sys.stderr)
         return 2
 

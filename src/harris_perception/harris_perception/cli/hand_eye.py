@@ -15,10 +15,10 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from harris_perception.core.wrist_camera import WristCamera, WristConfig, calibrate_wrist
-from icu_common.adapters.program_end import ends_quietly
-from icu_common.core.geometry import Array, Transform
-from icu_common.core.option_bounds import named_path
+from harris_perception.core.hand_eye.wrist_camera import WristCamera, WristConfig, calibrate_wrist
+from icu_common.adapters.processes.program_end import ends_quietly
+from icu_common.core.configuration.option_bounds import named_path
+from icu_common.core.geometry.geometry import Array, Transform
 
 COLUMNS = 14
 _UNIT = 0.01
@@ -30,13 +30,15 @@ def read_poses(path: Path) -> tuple[list[Transform], list[Transform]]:
     Raises
     ------
     ValueError
-        With the line that is wrong, or that the file is no text.
+        With the invalid line, or a note that the file is not text.
     """
     grippers: list[Transform] = []
     targets: list[Transform] = []
     named = False
     try:
-        with path.open(newline="", encoding="utf-8-sig") as file:  # spreadsheets put a mark before the first number
+        with path.open(
+            newline="", encoding="utf-8-sig"
+        ) as file:  # spreadsheets write a byte order mark before the first number
             rows = list(csv.reader(file))
     except (UnicodeDecodeError, csv.Error) as error:
         raise ValueError(f"{path} is no table of poses: {error}") from error
@@ -70,7 +72,7 @@ def _is_number(text: str) -> bool:
 
 
 def _pose(values: Array) -> Transform:
-    """Return the pose of x, y, z and a quaternion; one that is not of length 1 is most likely something else."""
+    """Return the pose of x, y, z and a quaternion; values of another length than 1 are most likely no quaternion."""
     pose = Transform.from_quaternion(values[3:], values[:3])
     length = float(np.linalg.norm(values[3:]))
     if abs(length - 1) > _UNIT:

@@ -13,24 +13,24 @@ import numpy as np
 from harris_perception.adapters.picture_files import read_bgr, read_deep_gray, read_gray, write_picture
 from harris_perception.cli.harris_evaluate import evaluate
 from harris_perception.cli.tables import check_table, write_table
-from harris_perception.core.edges import EDGE, CombinedDetector, EdgeConfig, EdgeDetector, Edges, TracingConfig
-from harris_perception.core.gray import bgr_of_gray
-from harris_perception.core.harris import Corners, HarrisConfig, HarrisDetector
-from harris_perception.core.harris_laplace import HarrisLaplaceConfig, HarrisLaplaceDetector, ScaledCorners
-from harris_perception.core.matching import MatchConfig, describe_over_scales, match
-from harris_perception.core.overlay import draw_corners, matches_picture
-from harris_perception.core.repeatability import EPSILONS_PX, mapped
-from harris_perception.core.repeatable import RepeatableConfig, RepeatableDetector
-from icu_common.adapters.program_end import ends_quietly
-from icu_common.core.config import from_mapping, settings_of
-from icu_common.core.option_bounds import named_path
-from icu_common.core.yaml_text import values_of_pairs
+from harris_perception.core.corners.harris import Corners, HarrisConfig, HarrisDetector
+from harris_perception.core.corners.harris_laplace import HarrisLaplaceConfig, HarrisLaplaceDetector, ScaledCorners
+from harris_perception.core.corners.matching import MatchConfig, describe_over_scales, match
+from harris_perception.core.corners.repeatable import RepeatableConfig, RepeatableDetector
+from harris_perception.core.edges.edges import EDGE, CombinedDetector, EdgeConfig, EdgeDetector, Edges, TracingConfig
+from harris_perception.core.evaluation.repeatability import EPSILONS_PX, mapped
+from harris_perception.core.image.gray import bgr_of_gray
+from harris_perception.core.image.overlay import draw_corners, matches_picture
+from icu_common.adapters.processes.program_end import ends_quietly
+from icu_common.core.configuration.config import from_mapping, settings_of
+from icu_common.core.configuration.option_bounds import named_path
+from icu_common.core.configuration.yaml_text import values_of_pairs
 
 T = TypeVar("T")
 EDGE_COLOR = (255, 160, 0)
 LOSSLESS = (".png", ".tif", ".tiff", ".bmp", ".pgm")
 MIN_AGREEING = 10
-"""Fewer matches than this agree by chance (measured on pictures that have nothing in common)."""
+"""Minimum number of agreeing matches; fewer can agree by chance (measured on images with nothing in common)."""
 
 
 def _settings(config_class: type[T], pairs: Sequence[str]) -> T:
@@ -57,7 +57,7 @@ def detect(options: argparse.Namespace) -> int:
     scales = (corners.scale,) if isinstance(corners, ScaledCorners) else ()
     if options.edges == "outlines":
         detector = EdgeDetector(_settings(EdgeConfig, options.set_edges))
-        # What is not known would be black, and have edges, in a picture of 8 bits.
+        # Unknown pixels would be black, with edges, in an 8-bit image.
         picture = read_bgr(options.picture) if np.isfinite(gray).all() else gray
         edges = detector.detect(picture, corners.xy, of_corners.strengths_of(corners.response))
     if edges is not None:
@@ -107,7 +107,7 @@ def match_pictures(options: argparse.Namespace) -> int:
 
 
 def _told(option: str, config_class: type[Any]) -> str:
-    """Return what can be set, with default, range, unit and meaning, for ``--help``."""
+    """Return the settings with default, range, unit and meaning, for ``--help``."""
     lines = [f"{option} KEY=VALUE:"]
     for item in settings_of(config_class):
         info = item.setting
@@ -203,7 +203,7 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _check_files(options: argparse.Namespace) -> None:
-    """Refuse to write over a picture that is read, or two results into one file."""
+    """Reject output files that would overwrite an input image or each other."""
     given = vars(options)
     taken = {given[name].resolve(): "is read" for name in ("picture", "first", "second") if name in given}
     for name in ("output", "table", "labels", "chains"):
@@ -217,7 +217,7 @@ def _check_files(options: argparse.Namespace) -> None:
 
 @ends_quietly
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command; errors in what the user gave end with code 2 and one line."""
+    """Run the command; errors in the user's input end with code 2 and one line."""
     options = _parser().parse_args(arguments)
     try:
         if options.run is detect and options.edges is None and (options.labels or options.chains or options.set_edges):

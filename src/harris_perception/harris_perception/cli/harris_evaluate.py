@@ -1,4 +1,4 @@
-"""`harris evaluate`: how well corners come again, and edges agree with what people drew, beside other detectors."""
+"""`harris evaluate`: repeatability of corners, and agreement of edges with hand-drawn boundaries, against others."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ import numpy.typing as npt
 from harris_perception.adapters.boundary_files import drawn_pictures, read_drawn
 from harris_perception.adapters.picture_files import SUFFIXES, read_gray, sequences
 from harris_perception.cli.tables import progress, write_table
-from harris_perception.core.boundary_evaluation import (
+from harris_perception.core.evaluation.boundary_evaluation import (
     THRESHOLDS,
     counts_of,
     ods_ois,
@@ -24,7 +24,7 @@ from harris_perception.core.boundary_evaluation import (
     peer_finders,
     precision_recall_f,
 )
-from harris_perception.core.repeatability import (
+from harris_perception.core.evaluation.repeatability import (
     EPSILONS_PX,
     WARPS,
     Detect,
@@ -45,7 +45,7 @@ AMOUNTS = {
     "viewpoint": "tilt [deg]",
     "noise": "standard deviation of the noise [grey levels]",
 }
-"""What the amounts of the warps of a photograph mean; for sequences they are the numbers of the pictures."""
+"""Meaning of the amounts of a photograph's warps; for sequences the amounts are image numbers."""
 
 _LEAST_PX = 64
 
@@ -53,7 +53,7 @@ _LEAST_PX = 64
 def evaluate(options: argparse.Namespace) -> int:
     """Run the command for its sources: boundaries where there are .mat files, interest points on the rest.
 
-    All files are read once before: what is wrong with one shall be told before hours of work.
+    All files are read once first, so that a faulty file is reported before hours of work.
     """
     for name, value, least, most in (("count", options.count, 1, 5000), ("seed", options.seed, 0, 2**32 - 1)):
         if not least <= value <= most:
@@ -74,7 +74,7 @@ def evaluate(options: argparse.Namespace) -> int:
 
 @dataclass(frozen=True, slots=True)
 class _Group:
-    """Pairs that belong together: how many, and what reads or makes them one by one (many do not fit into memory)."""
+    """A group of pairs: their number, and the iterator that reads or makes them (many do not fit into memory)."""
 
     count: int
     pairs: Callable[[], Iterator[Pair]]
@@ -117,7 +117,7 @@ def _to_be_warped(path: Path) -> npt.NDArray[np.uint8]:
 def _found(
     detectors: Mapping[str, Detect], pair: Pair, options: argparse.Namespace, known: dict[str, Points]
 ) -> Iterator[tuple[str, Points, Points]]:
-    """Yield each detector's points in both pictures of a pair; ``known`` are those in the first, if known."""
+    """Yield each detector's points in both images of a pair; ``known`` are those in the first, if known."""
     first = known or {name: find(pair.first, options.count) for name, find in detectors.items()}
     known |= first
     second = {name: find(pair.second, options.count) for name, find in detectors.items()}
@@ -129,14 +129,14 @@ def _found(
 def _points(groups: list[_Group], options: argparse.Namespace) -> None:
     ours, peers = our_detectors(), peer_detectors()
     detectors: dict[str, Detect] = ours | peers
-    # The first, third, ... sequence or photograph is for choosing one of our settings, the others are reported.
+    # The first, third, ... sequence or photograph is used to choose one of our settings; the others are reported.
     halves = (
         ("chosen on" if i % 2 == 0 else "reported", pair) for i, group in enumerate(groups) for pair in group.pairs()
     )
     rows: list[dict[str, Any]] = []
     last, known = None, dict[str, Points]()
     for half, pair in progress(halves, sum(group.count for group in groups), "evaluate"):
-        if pair.first is not last:  # pictures of a sequence share their first
+        if pair.first is not last:  # pairs of a sequence share their first image
             last, known = pair.first, {}
         for name, first, second in _found(detectors, pair, options, known):
             rate = repeatability(pair, first, second)
@@ -153,7 +153,7 @@ def _points(groups: list[_Group], options: argparse.Namespace) -> None:
 
 
 def _report(rows: Sequence[dict[str, Any]], ours: list[str], peers: list[str], options: argparse.Namespace) -> None:
-    """Print the table of the reported half and where the setting chosen on the other half is not first."""
+    """Print the table of the reported half, and where the setting chosen on the other half is not first."""
     rows = [r for r in rows if r["epsilon_px"] == options.epsilon]
     reported = [r for r in rows if r["half"] == "reported"] or rows
     chosen = best_on_average([r for r in rows if r["half"] == "chosen on"], ours)
@@ -178,7 +178,7 @@ def _report(rows: Sequence[dict[str, Any]], ours: list[str], peers: list[str], o
 
 
 def _plot(rows: Sequence[dict[str, Any]], ours: Sequence[str], peers: Sequence[str], folder: Path) -> None:
-    """Draw, for each change, the rate over its amount at 1.5 px and over epsilon, peers dashed, chance as an area."""
+    """Draw, for each change, the rate over its amount at 1.5 px and over epsilon; peers dashed, chance as an area."""
     pyplot = _pyplot()
     for change in dict.fromkeys(r["change"] for r in rows):
         figure, axes = pyplot.subplots(1, 2, figsize=(12, 5), layout="constrained")
@@ -210,7 +210,7 @@ def _plot(rows: Sequence[dict[str, Any]], ours: Sequence[str], peers: Sequence[s
 
 
 def _boundaries(pictures: list[tuple[Path, Path]], output: Path) -> None:
-    """Compare edges with drawn boundaries; of each peer the sigma that is best on these counts, for ODS and for OIS."""
+    """Compare edges with drawn boundaries; each peer uses its best sigma on these images, for ODS and for OIS."""
     ours, peers = our_finders(), peer_finders()
     named = {(name, 0.0): finder for name, finder in ours.items()}
     named |= {(name, sigma): finder for name, sigmas in peers.items() for sigma, finder in sigmas.items()}

@@ -16,12 +16,12 @@ import numpy as np
 
 from harris_perception.adapters.panel_files import how_to_start, write_panel
 from harris_perception.adapters.picture_files import read_bgr, write_picture
-from harris_perception.core.panel_teaching import Lesson, TeachingError, parse_pointed, teach
-from harris_perception.core.panel_template import draw_panel
-from harris_perception.core.recognition import PanelRecogniser
-from icu_common.adapters.program_end import ends_quietly
-from icu_common.core.option_bounds import named_path
-from icu_common.core.panel_layout import PanelLayout, load_layout
+from harris_perception.core.recognition.panel_teaching import Lesson, TeachingError, parse_pointed, teach
+from harris_perception.core.recognition.panel_template import draw_panel
+from harris_perception.core.recognition.recognition import PanelRecogniser
+from icu_common.adapters.processes.program_end import ends_quietly
+from icu_common.core.configuration.option_bounds import named_path
+from icu_common.core.panel.panel_layout import PanelLayout, load_layout
 
 
 @ends_quietly
@@ -52,7 +52,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _check(given: argparse.Namespace) -> int:
     layout = load_layout(given.layout)
-    PanelRecogniser(layout)  # a ValueError says what is missing
+    PanelRecogniser(layout)  # a ValueError states what is missing
     if given.drawing is not None:
         write_picture(given.drawing, draw_panel(layout, 4.0))
     _say_that_it_is_recognisable(layout)

@@ -14,9 +14,9 @@ import numpy as np
 
 from harris_perception.adapters.picture_files import write_picture
 from harris_perception.adapters.stereo_folders import scenes
-from harris_perception.core.stereo_evaluation import MAX_POINTS, error_picture, evaluate
-from icu_common.adapters.program_end import ends_quietly
-from icu_common.core.option_bounds import named_path
+from harris_perception.core.evaluation.stereo_evaluation import MAX_POINTS, error_picture, evaluate
+from icu_common.adapters.processes.program_end import ends_quietly
+from icu_common.core.configuration.option_bounds import named_path
 
 DENSE = {
     "bad-0.5": "bad_half",
@@ -62,7 +62,7 @@ def _evaluate(options: argparse.Namespace) -> int:
         result = evaluate(scene, time.perf_counter)
         rows += result.rows()
         write_picture(options.output / f"{scene.name}.png", error_picture(result))
-    # What nothing was found of has no precision; JSON has no NaN.
+    # A method that found nothing has no precision; JSON has no NaN.
     written = [{key: None if value != value else value for key, value in row.items()} for row in rows]
     (options.output / "stereo.json").write_text(json.dumps(written, indent=1) + "\n")
     _table(rows, "dense", DENSE)
@@ -74,7 +74,7 @@ def _evaluate(options: argparse.Namespace) -> int:
 
 @ends_quietly
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command; errors in what the user gave end with code 2 and one line."""
+    """Run the command; errors in the user's input end with code 2 and one line."""
     parser = argparse.ArgumentParser(prog="stereo evaluate", description=__doc__)
     parser.add_argument("folder", type=named_path, help="folder with rectified pairs and their disparity, at any depth")
     parser.add_argument(
@@ -90,10 +90,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def stereo() -> int:
-    """Run ``stereo evaluate FOLDER``; without that word the node."""
+    """Run ``stereo evaluate FOLDER``; without ``evaluate``, the node."""
     if sys.argv[1:2] == ["evaluate"]:
         return main(sys.argv[2:])
-    from harris_perception.nodes.stereo_node import main as node  # needs ROS, which evaluating does not
+    from harris_perception.nodes.stereo_node import main as node  # needs ROS; the evaluation does not
 
     code = node()
     if {"-h", "--help"} & set(sys.argv[1:]):

@@ -1,4 +1,4 @@
-"""What commands over many pictures share: a bar while they work, and tables for machines."""
+"""Shared parts of commands over many images: a progress bar, and machine-readable tables."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ T = TypeVar("T")
 
 
 def progress(items: Iterable[T], count: int, what: str) -> Iterator[T]:
-    """Yield the items while a bar on standard error tells how far it is; silent where nobody sees it."""
+    """Yield the items with a progress bar on standard error; silent unless that is a terminal."""
     shown = sys.stderr.isatty()
     for i, item in enumerate(items):
         if shown:
@@ -28,17 +28,17 @@ def progress(items: Iterable[T], count: int, what: str) -> Iterator[T]:
 
 
 def check_table(path: Path) -> None:
-    """Raise ``ValueError`` unless the name ends as that of a table."""
+    """Raise ``ValueError`` unless the file name has the suffix of a table."""
     if path.suffix not in (".csv", ".json"):
         raise ValueError(f"{path}: the name must end in .csv or .json")
 
 
 def write_table(path: Path, columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> None:
-    """Write rows as JSON or CSV, as the name's ending says."""
+    """Write rows as JSON or CSV, by the suffix of the file name."""
     check_table(path)
     text = io.StringIO(newline="")
     if path.suffix == ".json":
         text.write(json.dumps([dict(zip(columns, row)) for row in rows], indent=1) + "\n")
     else:
         csv.writer(text).writerows([columns, *rows])
-    write_file(path, text.getvalue().encode(errors="backslashreplace"))  # names of files may be no UTF-8
+    write_file(path, text.getvalue().encode(errors="backslashreplace"))  # file names may not be UTF-8

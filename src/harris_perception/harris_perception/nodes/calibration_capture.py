@@ -1,4 +1,4 @@
-"""Node that keeps useful pictures of a calibration board from live topics and says how to hold the board next."""
+"""Node that keeps useful images of a calibration board from live topics and reports how to hold the board next."""
 
 from __future__ import annotations
 
@@ -15,39 +15,40 @@ from sensor_msgs.msg import Image
 from std_msgs.msg import String
 
 from harris_perception.adapters.picture_files import write_picture
-from harris_perception.core.board import Board
-from harris_perception.core.board_detection import BoardDetector
-from harris_perception.core.gray import eight_bits, gray_of
-from harris_perception.core.view_collection import ViewCollection
-from icu_common.adapters.program_end import end_signals
+from harris_perception.core.cameras.board import Board
+from harris_perception.core.cameras.board_detection import BoardDetector
+from harris_perception.core.cameras.view_collection import ViewCollection
+from harris_perception.core.image.gray import eight_bits, gray_of
+from icu_common.adapters.processes.program_end import end_signals
 from icu_common.nodes import qos
-from icu_common.nodes.conversions import image_array, stamp_ns
 from icu_common.nodes.diagnostics import Diagnostics
 from icu_common.nodes.graph_node import GraphNode
+from icu_common.nodes.messages.cameras import image_array
+from icu_common.nodes.messages.heads import stamp_ns
 from icu_common.nodes.runtime import ros_session
 from icu_common.nodes.timers import every
 
 _MAX_APART_NS = 2_000_000
 _MANY = 10
-"""So many pictures without a partner are no accident."""
+"""Number of images without a partner that is no accident."""
 
 
 class CalibrationCaptureNode(GraphNode):
-    """Listens to one topic of pictures per camera and writes the moments kept as PNG.
+    """Subscribes to one image topic per camera and writes the images it keeps as PNG.
 
-    How far it is and what is missing goes to ``calibration/camera_coverage`` as one line, and to ``/diagnostics`` with
-    one value per direction.
+    Progress and missing views go to ``calibration/camera_coverage`` as one line, and to ``/diagnostics`` with one value
+    per direction.
 
     Parameters
     ----------
     topics
-        One, or left and right; pictures within 2 ms of each other are one moment.
+        One, or left and right; images within 2 ms of each other form one view.
     folders
-        Where each topic's pictures go; they are named by number.
+        Folder for each topic's images, which are named by number.
     collection
-        What decides, and what was kept.
+        Decides which views to keep, and holds them.
     say
-        Gets a line whenever there is something new to tell.
+        Receives a line whenever the progress changes.
     """
 
     def __init__(
@@ -126,7 +127,7 @@ def capture(
     within_s: float,
     say: Callable[[str], None],
 ) -> ViewCollection:
-    """Collect views from topics until they suffice, a signal to end comes or the time is over; return what was kept."""
+    """Collect views from topics until there are enough, a signal arrives or the time is over; return the collection."""
     collection = ViewCollection(board, wanted)
     before = {number: signal.getsignal(number) for number in end_signals()}
     try:
@@ -140,6 +141,6 @@ def capture(
             finally:
                 session.end(node)
     finally:
-        for number, handler in before.items():  # the calibration has no turns in which it could see a flag
+        for number, handler in before.items():  # the calibration has no loop that could check a flag
             signal.signal(number, handler)
     return collection

@@ -1,35 +1,40 @@
-"""Camera node: publishes the pictures of a source with the time they were taken, and the cameras' calibration.
+"""Camera node: publishes the images of a source with their stamps, and the cameras' calibration.
 
-Pictures are published by the capture thread itself: rcl_publish is thread-safe for distinct messages, and handing them
-to the executor first only adds a wake-up; see docs/decisions/transport.md.
+The capture thread itself publishes the images: rcl_publish is thread-safe for distinct messages, and a detour through
+the executor only adds a wake-up; see docs/decisions/transport.md.
 """
 
 from __future__ import annotations
 
 from collections import deque
 from pathlib import Path
+from threading import Event
 from typing import Any
 
 from rclpy.node import Node
 from sensor_msgs.msg import CameraInfo, Image
 
+from harris_perception.adapters.camera_controls import ControlFinding
 from harris_perception.adapters.camera_sources import (
     CameraConfig,
+    CameraSource,
     Frames,
     Picture,
+    V4l2Source,
     open_source,
     require_settings,
 )
 from harris_perception.adapters.capture import Capture
 from icu_common.adapters.frame_link import FRAMES
-from icu_common.core import frames as frame_names
-from icu_common.core.camera_model import CameraModel
-from icu_common.core.config import ConfigError
+from icu_common.core.configuration.config import ConfigError
+from icu_common.core.geometry import frames as frame_names
+from icu_common.core.geometry.camera_model import CameraModel
 from icu_common.nodes import qos
-from icu_common.nodes.conversions import camera_info_message, header
 from icu_common.nodes.diagnostics import Diagnostics
 from icu_common.nodes.graph_node import GraphNode, this_process
 from icu_common.nodes.images import image_bytes
+from icu_common.nodes.messages.cameras import camera_info_message
+from icu_common.nodes.messages.heads import header
 from icu_common.nodes.parameters import LiveParameters
 from icu_common.nodes.runtime import run
 from icu_common.nodes.timers import every, seconds_of
@@ -48,7 +53,7 @@ class Eye:
     def publish(self, picture: Picture, stamp_ns: int) -> None:
         head = header(stamp_ns, self._frame)
         self._infos.publish(self._info(picture, head))
-        # Packing and sending a picture that nobody takes costs as much as one that is taken.
+        # Packing and sending an image without subscribers costs as much as with one.
         if self._images.get_subscription_count():
             self._images.publish(image_bytes(picture, "bgr8" if picture.ndim == 3 else "mono8", head))
 
@@ -61,7 +66,7 @@ class Eye:
         self.complaint = f"{self._side} camera: no calibration"
         if model is not None:
             self.complaint += f" for {width} x {height}, it is for {model.width} x {model.height}"
-        return CameraInfo(header=head, width=width, height=height)  # K = 0 says "uncalibrated" (CameraInfo.msg)
+        return CameraInfo(header=head, width=width, height=height)  # K = 0 means "uncalibrated" (CameraInfo.msg)
 
 
 def _load(side: str, calibration: str) -> CameraModel | None:
@@ -106,8 +111,10 @@ class CameraNode(GraphNode):
         self._ledger = this_process.ledger if config.source == "bench" else None
         if self._ledger is not None:
             self._ledger.subscribe(FRAMES)
+        self._config = config
+        self._findings: tuple[ControlFinding, ...] = ()
         self._capture = Capture(
-            lambda stop: open_source(config, now_ns=self._now_ns, stop=stop),
+            self._open,
             self._on_frames,
             on_failure=self._on_failure,
             clock=seconds_of(self),
@@ -118,6 +125,15 @@ class CameraNode(GraphNode):
         every(self, self._period_s, self._report)
         self._capture.start()
 
+    def _open(self, stop: Event) -> CameraSource:
+        source = open_source(self._config, now_ns=self._now_ns, stop=stop)
+        findings = source.findings if isinstance(source, V4l2Source) else ()
+        if findings != self._findings:
+            self._findings = findings
+            for finding in findings:
+                self.get_logger().warning(finding.text)
+        return source
+
     def _on_config(self, config: CameraConfig) -> None:
         self._capture.set_waits(**_waits(config))
 
@@ -127,8 +143,9 @@ class CameraNode(GraphNode):
             self._ledger.finish_all(FRAMES)
 
     def _on_frames(self, frames: Frames) -> None:
-        for eye, picture, stamp_ns in zip(self._eyes, frames.pictures, frames.stamps_ns):
-            eye.publish(picture, stamp_ns)
+        cameras = frames.cameras or range(len(frames.pictures))
+        for index, picture, stamp_ns in zip(cameras, frames.pictures, frames.stamps_ns):
+            self._eyes[index].publish(picture, stamp_ns)
         self._ages_ms.append((self._now_ns() - frames.stamps_ns[0]) / 1e6)
         if self._ledger is not None:
             self._ledger.finish(FRAMES)
@@ -138,6 +155,7 @@ class CameraNode(GraphNode):
         rate_hz, self._seen = (status.pictures - self._seen) / self._period_s, status.pictures
         self._quiet_s = 0.0 if rate_hz or status.state != "running" else self._quiet_s + self._period_s
         complaints = [eye.complaint for eye in self._eyes if eye.complaint]
+        complaints += [finding.text for finding in self._findings]
         if self._quiet_s >= self._quiet_after_s:
             complaints.insert(0, f"no picture for {self._quiet_s:.0f} s")
         text = "; ".join([f"{status.state}: {status.reason}" if status.reason else status.state, *complaints])
@@ -150,10 +168,13 @@ class CameraNode(GraphNode):
             ("age_when_published_ms", f"{max(self._ages_ms, default=0.0):.1f}"),
             ("failures", status.failures),
         ]
+        for finding in self._findings:
+            name = f"{finding.side}.{finding.name}"
+            values += [(f"{name}.code", finding.code), (f"{name}.wanted", finding.wanted), (f"{name}.got", finding.got)]
         self._diagnostics.tell(level, text, values)
 
     def close(self) -> None:
-        """Stop the capture, so that nothing is published by a node that is being taken down."""
+        """Stop the capture, so that a node that is being destroyed publishes nothing."""
         if not self._capture.stop():
             self.get_logger().error("the capture thread did not end in time")
 

@@ -1,4 +1,4 @@
-"""Node that turns pictures into Harris corners; one instance for each camera."""
+"""Node that detects Harris corners in images; one instance per camera."""
 
 from __future__ import annotations
 
@@ -11,29 +11,32 @@ import numpy as np
 import numpy.typing as npt
 from sensor_msgs.msg import Image, PointCloud2
 
-from harris_perception.core import edge_lines
-from harris_perception.core.edges import CombinedDetector, EdgeConfig, EdgeDetector, Edges, TracingConfig
-from harris_perception.core.gray import bgr_of, bgr_of_gray, gray_of, grey_level_of, has_color
-from harris_perception.core.harris import Corners, HarrisConfig, HarrisDetector
-from harris_perception.core.harris_laplace import (
+from harris_perception.core.corners.harris import Corners, HarrisConfig, HarrisDetector
+from harris_perception.core.corners.harris_laplace import (
     HarrisLaplaceConfig,
     HarrisLaplaceDetector,
     PyramidConfig,
     ScaledCorners,
 )
-from harris_perception.core.overlay import draw_corners
-from harris_perception.core.repeatable import RepeatableConfig, RepeatableDetector
-from harris_perception.nodes.compiling import compiling
-from icu_common.core.config import ConfigError, nested, setting
-from icu_common.nodes import qos
-from icu_common.nodes.conversions import (
-    cloud_message,
-    image_array,
-    image_message,
+from harris_perception.core.corners.repeatable import RepeatableConfig, RepeatableDetector
+from harris_perception.core.edges import edge_lines
+from harris_perception.core.edges.edges import (
+    CombinedDetector,
+    EdgeConfig,
+    EdgeDetector,
+    Edges,
+    TracingConfig,
 )
+from harris_perception.core.image.gray import bgr_of, bgr_of_gray, gray_of, grey_level_of, has_color
+from harris_perception.core.image.overlay import draw_corners
+from harris_perception.nodes.compiling import compiling
+from icu_common.core.configuration.config import ConfigError, nested, setting
+from icu_common.nodes import qos
 from icu_common.nodes.diagnostics import Diagnostics
 from icu_common.nodes.graph_node import GraphNode
 from icu_common.nodes.images import ReceivedImage
+from icu_common.nodes.messages.cameras import image_array, image_message
+from icu_common.nodes.messages.clouds import cloud_message
 from icu_common.nodes.newest import NewestImage
 from icu_common.nodes.on_demand import OnDemand, on_demand_setting
 from icu_common.nodes.parameters import LiveParameters
@@ -42,20 +45,21 @@ from icu_common.nodes.timers import every
 
 COLUMNS = ("u", "v", "response")
 SCALE = "scale"
-"""A further column of corners over scales: how many times coarser than the picture is the level that has them."""
+"""Additional column for corners over scales: factor by which the corner's pyramid level is coarser than the image."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CornersNodeConfig(HarrisConfig):
-    """The detectors' settings (three ways to corners), and those of the edges (two ways) found while somebody looks.
+    """Settings of the corner detectors (three methods) and of the edge detectors (two methods).
 
-    Strengths of edges are in grey levels of 8 bits; those of a picture of more are told in core/gray.py.
+    Edges are detected only while a node subscribes to them. Edge strengths are in grey levels of 8 bits;
+    core/image/gray.py explains them for images with more bits.
     """
 
     corner_method: str = setting(
         "fast",
-        "Corners of the detector of 1988 by the settings beside this (fast), by the same over a pyramid with their "
-        "scale (scales, Harris-Laplace), or those that stand out from noise and surroundings (repeatable); the last "
+        "Corner detector: fast is the detector of 1988 with the settings of this node; scales (Harris-Laplace) is the "
+        "same over a pyramid, and gives scales; repeatable keeps corners that exceed noise and surroundings; the last "
         "two take several times as long",
         choices=("fast", "scales", "repeatable"),
     )
@@ -63,7 +67,8 @@ class CornersNodeConfig(HarrisConfig):
     repeatable: RepeatableConfig = nested(RepeatableConfig)
     edge_method: str = setting(
         "combined",
-        "Edges of the corners' own pass (combined), or of two scales and of colors, which follow objects (outlines)",
+        "Edge detector: combined uses the pass of the corner detector, outlines uses two scales and colours "
+        "and follows objects",
         choices=("combined", "outlines"),
     )
     combined: TracingConfig = nested(TracingConfig)
@@ -77,7 +82,7 @@ class CornersNodeConfig(HarrisConfig):
 
 
 class CornersNode(GraphNode):
-    """Publishes the ``corners`` of each ``image_raw`` while they have a reader.
+    """Publishes the ``corners`` of each ``image_raw`` while they have a subscriber.
 
     Likewise ``corners_image``, ``edges`` (labels) and ``edge_lines`` (few points, for overlays).
     """
@@ -144,7 +149,7 @@ class CornersNode(GraphNode):
         if combined:
             return corners, self._combined.detect(gray, corners.xy, strengths, level)[1]
         if has_color(message.encoding) and gray.size > 0:
-            colors = image_array(message)  # of which one may be brighter than the grey picture
+            colors = image_array(message)  # one channel may be brighter than the grey image
             strengths = strengths / np.float32(grey_level_of(colors))
             return corners, self._outlines.detect(bgr_of(colors, message.encoding), corners.xy, strengths)
         return corners, self._outlines.detect(gray, corners.xy, strengths, level)
@@ -202,7 +207,7 @@ def _gray(message: ReceivedImage) -> npt.NDArray[Any]:
 
 
 def preload() -> None:
-    """Load the default detectors' machine code, which the server that forks programs does once for all of them."""
+    """Load the default detectors' machine code; the server that forks programs does this once for all programs."""
     threads = cv2.getNumThreads()
     cv2.setNumThreads(1)  # a fork has none of its parent's threads, and OpenCV would wait for them
     config = CornersNodeConfig()

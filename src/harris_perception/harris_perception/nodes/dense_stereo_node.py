@@ -1,4 +1,4 @@
-"""Dense stereo node: disparity and coloured points of every pixel, for people who look; idle while nobody does."""
+"""Dense stereo node: disparity and coloured points of every pixel, for display; idle without subscribers."""
 
 from __future__ import annotations
 
@@ -12,25 +12,21 @@ from rclpy.subscription import Subscription
 from sensor_msgs.msg import PointCloud2
 from stereo_msgs.msg import DisparityImage
 
-from harris_perception.core.dense_stereo import DELTA_PX, F32, DenseConfig, DenseStereo, SemiGlobalConfig, warm
-from harris_perception.core.gray import GreyLevels, bgr_of, eight_bits, gray_of
-from harris_perception.core.pairing import Pairing
+from harris_perception.core.image.gray import GreyLevels, bgr_of, eight_bits, gray_of
+from harris_perception.core.stereo.dense_stereo import DELTA_PX, F32, DenseConfig, DenseStereo, SemiGlobalConfig, warm
+from harris_perception.core.stereo.pairing import Pairing
 from harris_perception.nodes.compiling import compiling
 from harris_perception.nodes.stereo_calibration import SIDES, StereoCalibration
-from icu_common.core import frames
-from icu_common.core.config import Config, nested, setting
+from icu_common.core.configuration.config import Config, nested, setting
+from icu_common.core.geometry import frames
 from icu_common.nodes import qos
-from icu_common.nodes.conversions import (
-    disparity_message,
-    header,
-    image_array,
-    organised_cloud_message,
-    stamp_ns,
-)
 from icu_common.nodes.diagnostics import Diagnostics
 from icu_common.nodes.graph_node import GraphNode
 from icu_common.nodes.images import ReceivedImage, subscribe_to_images
-from icu_common.nodes.on_demand import OnDemand
+from icu_common.nodes.messages.cameras import disparity_message, image_array
+from icu_common.nodes.messages.clouds import organised_cloud_message
+from icu_common.nodes.messages.heads import header, stamp_ns
+from icu_common.nodes.on_demand import OnDemand, on_demand_setting
 from icu_common.nodes.parameters import LiveParameters
 from icu_common.nodes.runtime import run
 from icu_common.nodes.timers import every
@@ -40,10 +36,15 @@ from icu_common.nodes.timers import every
 class DenseStereoConfig(Config):
     """Settings of the dense stereo node."""
 
-    rate_hz: float = setting(10.0, "Pairs are matched at most this often.", minimum=0.1, maximum=120.0, unit="Hz")
+    rate_hz: float = setting(10.0, "Maximum rate of matched pairs", minimum=0.1, maximum=120.0, unit="Hz")
     pair_tolerance_s: float = setting(
-        0.004, "Left and right stamps of a pair differ by at most this; 0 = equal.", minimum=0.0, maximum=0.1, unit="s"
+        0.004,
+        "Maximum difference between the left and right stamps of a pair; 0: the stamps must be equal",
+        minimum=0.0,
+        maximum=0.1,
+        unit="s",
     )
+    on_demand: bool = on_demand_setting()
     limits: DenseConfig = nested(DenseConfig)
     matching: SemiGlobalConfig = nested(SemiGlobalConfig)
 
@@ -51,7 +52,7 @@ class DenseStereoConfig(Config):
 class DenseStereoNode(GraphNode):
     """Publishes ``disparity`` and ``dense_points``; takes ``image_raw`` and ``camera_info`` of both sides.
 
-    The pictures are subscribed to only while one of the two has a reader, so an unwatched node costs nothing.
+    The images are subscribed to only while one of the two has a subscriber, so an unused node costs nothing.
     """
 
     def __init__(self, **options: Any) -> None:
@@ -67,7 +68,7 @@ class DenseStereoNode(GraphNode):
         with compiling(self):
             warm()
         self._configure()
-        self._demand = OnDemand(self, self._start, self._rest)
+        self._demand = OnDemand(self, self._start, self._rest, always=not self._live.config.on_demand)
         self._disparity = self._demand.publisher(DisparityImage, "disparity", qos.IMAGES)
         self._points = self._demand.publisher(PointCloud2, "dense_points", qos.IMAGES)
         self._diagnostics = Diagnostics(self, "dense_stereo")
@@ -92,7 +93,7 @@ class DenseStereoNode(GraphNode):
         self._pairs.clear()
 
     def _listen(self, stream: int, side: str) -> Subscription:
-        # The newest only: a matcher that falls behind should skip pairs and not show old ones.
+        # Queue of one: a matcher that is too slow should skip pairs and not show old ones.
         return subscribe_to_images(self, f"{side}/image_raw", functools.partial(self._on_image, stream), qos.NEWEST)
 
     def _on_image(self, stream: int, message: ReceivedImage) -> None:
@@ -133,11 +134,15 @@ class DenseStereoNode(GraphNode):
         self._values = [("known_share", f"{known:.3f}"), ("took_ms", f"{took_s * 1e3:.1f}")]
 
     def _report(self) -> None:
-        silent = "no pairs of pictures in the last second" if self._pairs.newest_ns == self._reported_ns else ""
+        apart = self._pairs.apart_text()
+        quiet = self._pairs.newest_ns == self._reported_ns
+        silent = (apart or "no pairs of pictures in the last second") if quiet else ""
         self._reported_ns = self._pairs.newest_ns
         complaint = self._calibration.complaint or silent or self._complaint
         state = "matching" if self._listening else "idle: no subscriber"
         values = [("pairs", self._matched), ("unpaired", self._pairs.unpaired), *self._values]
+        if apart:
+            values += [("code", "no_pair"), ("difference_ms", f"{self._pairs.apart_ns * 1e-6:.2f}")]
         level, text = ("warn", complaint) if complaint and self._listening else ("ok", state)
         self._diagnostics.tell(level, text, values)
 

@@ -1,4 +1,4 @@
-"""Node that calibrates the gantry against the stereo camera by moving it and looking at the stylus."""
+"""Node that calibrates the gantry against the stereo camera: it moves the gantry and measures the stylus."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from std_msgs.msg import Float32, Float64MultiArray, Header, String
 from std_srvs.srv import Trigger
 from visualization_msgs.msg import MarkerArray
 
-from harris_perception.core.calibration_file import CalibrationFileError, load, save
-from harris_perception.core.calibration_run import SendGoal
-from harris_perception.core.calibrator import (
+from harris_perception.core.hand_eye.calibration_file import CalibrationFileError, load, save
+from harris_perception.core.hand_eye_procedure.calibration_run import SendGoal
+from harris_perception.core.hand_eye_procedure.calibrator import (
     Action,
     Calibrator,
     CalibratorConfig,
@@ -28,29 +28,26 @@ from harris_perception.core.calibrator import (
     SetSigma,
     SetState,
 )
-from harris_perception.core.planar_pose import FACE_POINT_COLUMNS, FacePoints
-from icu_common.core.frames import BASE, CAMERA_LEFT, JOINTS
-from icu_common.core.text_bounds import plain
+from harris_perception.core.pose.planar_pose import FACE_POINT_COLUMNS, FacePoints
+from icu_common.core.configuration.text_bounds import plain
+from icu_common.core.geometry.frames import BASE, CAMERA_LEFT, JOINTS
 from icu_common.nodes import qos
 from icu_common.nodes.camera_info import CameraInfoSubscription
-from icu_common.nodes.conversions import (
+from icu_common.nodes.diagnostics import Diagnostics
+from icu_common.nodes.graph_node import GraphNode
+from icu_common.nodes.messages.cameras import camera_model
+from icu_common.nodes.messages.clouds import cloud_array
+from icu_common.nodes.messages.heads import check_frame, check_not_ahead, header, stamp_ns
+from icu_common.nodes.messages.joints import joint_positions
+from icu_common.nodes.messages.panels import controls_of_message
+from icu_common.nodes.messages.places import (
     axes_message,
-    camera_model,
-    check_frame,
-    check_not_ahead,
-    cloud_array,
-    controls_of_message,
-    header,
-    joint_positions,
     point_array,
     point_message,
-    result_of_message,
-    stamp_ns,
     transform_message,
     transform_of_pose,
 )
-from icu_common.nodes.diagnostics import Diagnostics
-from icu_common.nodes.graph_node import GraphNode
+from icu_common.nodes.messages.results import result_of_message
 from icu_common.nodes.parameters import LiveParameters
 from icu_common.nodes.runtime import run
 from icu_common.nodes.timers import every
@@ -59,7 +56,7 @@ _TICK_S = 0.05
 
 
 class HandEyeNode(GraphNode):
-    """Services ``run``, ``add_sample``, ``solve``, ``save``; publishes the calibration and its state."""
+    """Offers the services ``run``, ``add_sample``, ``solve``, ``save``; publishes the calibration and its state."""
 
     def __init__(self, **options: Any) -> None:
         super().__init__("hand_eye", **options)
@@ -100,7 +97,7 @@ class HandEyeNode(GraphNode):
         every(self, 1.0, self._report)
 
     def close(self) -> None:
-        """Say that a run was cut short."""
+        """Report that a run was interrupted."""
         self._act(self.calibrator.close())
 
     def _now_ns(self) -> int:
@@ -118,7 +115,7 @@ class HandEyeNode(GraphNode):
         except (CalibrationFileError, OSError) as error:
             self._act(self.calibrator.reject_file(str(error)))
 
-    # What arrives.
+    # Subscriptions.
 
     def _camera_callback(self, side: str) -> Callable[[CameraInfo], None]:
         def callback(message: CameraInfo) -> None:
@@ -134,7 +131,7 @@ class HandEyeNode(GraphNode):
         return callback
 
     def _on_image(self, stamp: int) -> None:
-        # It is evaluated only later; the calibration need not wait for that before it moves on.
+        # The image is evaluated later; the calibration may move on without waiting for that.
         self._act(self.calibrator.take_image(stamp, self._now_ns()))
 
     def _on_joints(self, message: JointState) -> None:
@@ -209,7 +206,7 @@ class HandEyeNode(GraphNode):
             return
         self._act(self.calibrator.take_result(answer, self._now_ns()))
 
-    # What is done about it.
+    # Actions of the calibrator.
 
     def _act(self, actions: Iterable[Action]) -> None:
         for action in actions:
@@ -227,7 +224,7 @@ class HandEyeNode(GraphNode):
                     self._transform.publish(transform_message(action.camera_from_base, head, BASE))
                 case Keep():
                     self._keep()
-                case Note(level="error"):  # rclpy wants a line for each level
+                case Note(level="error"):  # rclpy requires a separate line of code for each level
                     self.get_logger().error(action.text)
                 case Note(level="warn"):
                     self.get_logger().warning(action.text)
@@ -241,7 +238,7 @@ class HandEyeNode(GraphNode):
             except Refused as error:
                 self.get_logger().error(str(error))
 
-    # Services: each returns what it did, or raises Refused.
+    # Services: each returns its result as text, or raises Refused.
 
     def _run(self) -> str:
         self._act(self.calibrator.run(self._now_ns()))

@@ -1,4 +1,4 @@
-"""Teaching of a new panel by messages: a picture and a request in, a layout and its template written, an answer out."""
+"""Teaches a new panel by messages: an image and a request in, a layout and its template written, a result out."""
 
 from __future__ import annotations
 
@@ -15,28 +15,30 @@ from sensor_msgs.msg import Image
 from std_msgs.msg import String
 
 from harris_perception.adapters.panel_files import how_to_start, write_panel
-from harris_perception.core.gray import bgr_of
-from harris_perception.core.panel_teaching import Request, TeachingError, parse_request, teach
-from icu_common.core.camera_model import CameraModel
-from icu_common.core.results import GoalResult, Outcome
+from harris_perception.core.image.gray import bgr_of
+from harris_perception.core.recognition.panel_teaching import Request, TeachingError, parse_request, teach
+from icu_common.core.geometry.camera_model import CameraModel
+from icu_common.core.goals.results import GoalResult, Outcome
 from icu_common.nodes import qos
-from icu_common.nodes.conversions import image_array, result_message, stamp_ns
+from icu_common.nodes.messages.cameras import image_array
+from icu_common.nodes.messages.heads import stamp_ns
+from icu_common.nodes.messages.results import result_message
 from icu_common.nodes.timers import every
 
 _PICTURE_WAIT_S = 5.0
 
 
 class PanelTeacher:
-    """Hears ``teach/image_raw`` and ``teach/request``, answers on ``teach/result``; the work is done in a thread.
+    """Subscribes to ``teach/image_raw`` and ``teach/request``, publishes ``teach/result``; works in its own thread.
 
     Parameters
     ----------
     node
-        The node whose topics these are.
+        The node that has these topics.
     folder
-        Where layouts are written; empty refuses.
+        Folder for layouts; if empty, all requests are rejected.
     camera
-        Returns the left camera, whose distortion is taken out of the picture; None while it is not known.
+        Returns the left camera, whose distortion is removed from the image; None while it is unknown.
     """
 
     def __init__(self, node: Node, folder: str, camera: Callable[[], CameraModel | None]) -> None:
@@ -50,7 +52,7 @@ class PanelTeacher:
         every(node, 0.5, self._on_tick)
 
     def close(self) -> None:
-        """End the thread; what it is writing is finished."""
+        """Stop the thread; a file being written is completed."""
         self._worker.shutdown(wait=True, cancel_futures=True)
 
     def _on_picture(self, message: Image) -> None:
@@ -97,7 +99,8 @@ class PanelTeacher:
             self._refuse(request, str(error))
             return
         except Exception as error:
-            # Of a thread's error nobody hears, and who asked would wait for ever: OpenCV's are of its own kind.
+            # An uncaught error would end the work silently, and the client would wait forever; OpenCV has error types
+            # of its own.
             self._refuse(request, f"error while teaching: {error!r}")
             return
         details = {"layout": str(layout), "template": str(template), "start": how_to_start(taught, template)}

@@ -1,4 +1,4 @@
-"""Node that finds the designated panel in the left picture and publishes its pose and controls."""
+"""Node that finds the designated panel in the left image and publishes its pose and controls."""
 
 from __future__ import annotations
 
@@ -7,10 +7,8 @@ import math
 import time
 from collections import OrderedDict, deque
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 from diagnostic_msgs.msg import DiagnosticArray
@@ -20,42 +18,33 @@ from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 from std_msgs.msg import Float32, Header, String
 from visualization_msgs.msg import MarkerArray
 
-from harris_perception.core.face_depth import FaceDepth, height_above_face_m
-from harris_perception.core.fiducials import MarkerFinder, SeenMarker
-from harris_perception.core.gray import GreyLevels, bgr_of, eight_bits, gray_of, has_color
-from harris_perception.core.harris import HarrisConfig, HarrisDetector
-from harris_perception.core.panel_state import PanelReader, StateConfig
-from harris_perception.core.planar_pose import FACE_POINT_COLUMNS, with_plane
-from harris_perception.core.pose_agreement import PoseAgreement
-from harris_perception.core.recognition import PanelRecogniser, RecognitionConfig, Sighting
-from harris_perception.core.still_panel import StillPanel
-from harris_perception.core.tip_record import TipRecord
+from harris_perception.adapters.panel_files import read_panel
+from harris_perception.core.corners.harris import HarrisConfig, HarrisDetector
+from harris_perception.core.image.gray import GreyLevels, bgr_of, eight_bits, gray_of, has_color
+from harris_perception.core.pose.face_depth import FaceDepth, height_above_face_m
+from harris_perception.core.pose.fiducials import MarkerFinder, SeenMarker
+from harris_perception.core.pose.planar_pose import FACE_POINT_COLUMNS, with_plane
+from harris_perception.core.pose.pose_agreement import PoseAgreement
+from harris_perception.core.recognition.panel_state import PanelReader, StateConfig
+from harris_perception.core.recognition.recognition import PanelRecogniser, RecognitionConfig, Sighting
+from harris_perception.core.recognition.still_panel import StillPanel
+from harris_perception.core.stylus.tip_record import TipRecord
 from harris_perception.nodes.panel_teacher import PanelTeacher
-from icu_common.core.camera_model import CameraModel
-from icu_common.core.config import Config, ConfigError, nested, setting
-from icu_common.core.frames import CAMERA_LEFT, PANEL
-from icu_common.core.geometry import Array, Transform
-from icu_common.core.panel_layout import LayoutError, PanelLayout, load_layout
+from icu_common.core.configuration.config import Config, ConfigError, nested, setting
+from icu_common.core.geometry.camera_model import CameraModel
+from icu_common.core.geometry.frames import CAMERA_LEFT, PANEL
+from icu_common.core.geometry.geometry import Array, Transform
+from icu_common.core.panel.panel_layout import PanelLayout
 from icu_common.nodes import qos
 from icu_common.nodes.camera_info import CameraInfoSubscription
-from icu_common.nodes.conversions import (
-    camera_model,
-    check_frame,
-    cloud_array,
-    cloud_message,
-    controls_message,
-    covariance_array,
-    header,
-    image_array,
-    panel_state_message,
-    point_array,
-    pose_message,
-    stamp_ns,
-    transform_of_pose,
-)
 from icu_common.nodes.diagnostics import Diagnostics
 from icu_common.nodes.graph_node import GraphNode
 from icu_common.nodes.images import ReceivedImage
+from icu_common.nodes.messages.cameras import camera_model, image_array
+from icu_common.nodes.messages.clouds import cloud_array, cloud_message
+from icu_common.nodes.messages.heads import check_frame, header, stamp_ns
+from icu_common.nodes.messages.panels import controls_message, panel_state_message
+from icu_common.nodes.messages.places import covariance_array, point_array, pose_message, transform_of_pose
 from icu_common.nodes.newest import NewestImage
 from icu_common.nodes.on_demand import on_demand_setting
 from icu_common.nodes.parameters import LiveParameters
@@ -65,70 +54,80 @@ from icu_common.nodes.timers import every, seconds_of
 _KEPT_CORNERS = 8
 _KEPT_UNREAD = 8
 _GIVEN_UP = 10.0
-"""A picture waits no longer than so many ``tip_wait_s`` for a tracker that speaks of others only."""
+"""Maximum time that an image waits for a tracker that reports only other images, as a multiple of ``tip_wait_s``."""
 _TICK_S = 0.02
 _TRACKED = 15
-"""Images in a row in which the panel was found, after which corners are no longer subscribed to: following it needs
-none."""
+"""Number of successive images with the panel after which the node unsubscribes from corners: tracking needs none."""
 _UNCHANGED = 4
-"""Images in a row that may count as unchanged: at 5 Hz the panel is measured once a second at rest."""
+"""Maximum number of successive images that count as unchanged: at 5 Hz the panel is measured once a second at rest."""
 _MIRRORED = "the panel is seen in a mirror: switch off what flips this camera's pictures"
 _STEREO_AGE_NS = 3_000_000_000
-"""Stereo looks at other pictures, on a busy computer a second later; a panel that stands still is as far in them."""
+"""Maximum difference of stamps between stereo and recognition, which use different images; on a busy computer stereo is
+a second late. The distance of a panel at rest is the same in both."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RecognitionNodeConfig(Config):
-    """What is searched, how often, and how."""
+    """Settings of the recognition node."""
 
     layout: str = setting("", "Layout file of the designated panel", read_only=True)
-    template: str = setting("", "Picture of its face, straight on; empty: drawn from the layout", read_only=True)
+    template: str = setting("", "Image of the panel's face, straight on; empty: drawn from the layout", read_only=True)
     template_px_per_mm: float = setting(
-        4.0, "Scale of that picture", minimum=0.1, maximum=100.0, unit="px/mm", read_only=True
+        4.0, "Scale of the template image", minimum=0.1, maximum=100.0, unit="px/mm", read_only=True
     )
     teach_folder: str = setting(
-        "", "Folder for layouts of panels that are taught by messages, empty = none", read_only=True
+        "", "Folder for the layouts of panels that are taught by messages; empty: none", read_only=True
     )
-    rate_hz: float = setting(5.0, "Pictures that are looked at", minimum=0.1, maximum=60.0, unit="Hz")
+    rate_hz: float = setting(5.0, "Maximum rate of processed images", minimum=0.1, maximum=60.0, unit="Hz")
     corners_wait_s: float = setting(
-        0.1, "A picture waits so long for its published corners", minimum=0.0, maximum=2.0, unit="s"
+        0.1, "Maximum time that an image waits for its published corners", minimum=0.0, maximum=2.0, unit="s"
     )
     silence_s: float = setting(
-        1.0, "Without pictures for so long the panel counts as lost", minimum=0.1, maximum=60.0, unit="s"
+        1.0, "Time without images after which the panel counts as lost", minimum=0.1, maximum=60.0, unit="s"
     )
     tip_wait_s: float = setting(
         1.0,
-        "Lamps, knobs and screens of a picture are read once the stylus tracker has looked at it, or has said nothing "
-        "for so long",
+        "Time without messages from the stylus tracker after which lamps, knobs and screens are read without "
+        "it; otherwise an image waits until the tracker has processed it",
         minimum=0.0,
         maximum=60.0,
         unit="s",
     )
     tip_max_age_s: float = setting(
         0.3,
-        "Where the tip is not certain in a picture, it is near where it was seen so little before or after, or else "
-        "the stylus is not in view",
+        "Maximum time between an image without a certain tip and the nearest sighting of the tip, before or "
+        "after; beyond it the stylus counts as out of view",
         minimum=0.0,
         maximum=5.0,
         unit="s",
     )
     tip_speed_m_s: float = setting(
-        0.2, "The stylus is never faster: so near it may hide lamps then", minimum=0.0, maximum=2.0, unit="m/s"
+        0.2,
+        "Maximum speed of the stylus; the tip may hide lamps within this speed times the time to its nearest sighting",
+        minimum=0.0,
+        maximum=2.0,
+        unit="m/s",
     )
     plane_max_age_s: float = setting(
         0.0,
-        "The pose is improved by a stereo plane of a picture so near in time; 0: by none, and stereo need not run",
+        "Maximum time between an image and a stereo plane that improves its pose; 0: none does, and stereo "
+        "need not run",
         minimum=0.0,
         maximum=5.0,
         unit="s",
         read_only=True,
     )
     marker_bound_mm: float = setting(
-        2.0, "The panel by its markers and by its print may differ by so much", minimum=0.1, maximum=100.0, unit="mm"
+        2.0,
+        "Maximum difference between the panel's poses by its markers and by its print",
+        minimum=0.1,
+        maximum=100.0,
+        unit="mm",
     )
     stereo_bound_mm: float = setting(
         2.0,
-        "The panel by both cameras and by its print may differ so much in depth, where stereo runs; 0: not compared",
+        "Maximum difference in depth between the panel by both cameras and by its print, if stereo runs; 0: "
+        "not compared",
         minimum=0.0,
         maximum=100.0,
         unit="mm",
@@ -144,7 +143,7 @@ class RecognitionNodeConfig(Config):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Unread:
-    """A picture in which the panel was found, and whose controls are still to be read; waiting ``since_s``."""
+    """An image in which the panel was found, and whose controls have not been read yet; waiting since ``since_s``."""
 
     message: ReceivedImage
     sighting: Sighting
@@ -153,7 +152,7 @@ class _Unread:
 
 
 class RecognitionNode(GraphNode):
-    """Publishes pose, measured points, controls, confidence and state from pictures, corners and the stylus's tip."""
+    """Publishes pose, measured points, controls, confidence and state from images, corners and the stylus's tip."""
 
     def __init__(self, **options: Any) -> None:
         super().__init__("recognition", **options)
@@ -190,7 +189,7 @@ class RecognitionNode(GraphNode):
         self._controls.publish(controls_message(self._layout, header(self.get_clock().now().nanoseconds, PANEL)))
         self._infos = CameraInfoSubscription(self, "camera_info", qos.SENSOR, self._on_camera)
         self._follow_corners()
-        # Each of them says of one picture what is hidden in it.
+        # Both topics report on single images: where the tip is, or that it is not certain.
         self.create_subscription(PointStamped, "tip", self._on_tip, qos.PICTURES)
         self.create_subscription(Header, "unseen", self._on_unseen, qos.PICTURES)
         if self._live.config.plane_max_age_s > 0:
@@ -202,11 +201,11 @@ class RecognitionNode(GraphNode):
         self._teacher = PanelTeacher(self, self._live.config.teach_folder, lambda: self._camera)
 
     def close(self) -> None:
-        """Finish what is being taught."""
+        """Complete the panel that is being taught."""
         self._teacher.close()
 
     def _prepare(self, config: RecognitionNodeConfig) -> None:
-        """Make the recogniser of a configuration, which is refused if the panel cannot be recognised with it."""
+        """Create the recogniser of a configuration; reject a configuration that cannot recognise the panel."""
         scale = config.template_px_per_mm
         try:
             self._next = PanelRecogniser(self._layout, config.recognition, config.harris, self._picture, scale)
@@ -222,7 +221,7 @@ class RecognitionNode(GraphNode):
         self._still = StillPanel(self._layout, _UNCHANGED)
 
     def _on_camera(self, message: CameraInfo) -> None:
-        # By another camera's calibration the panel would be somewhere else.
+        # With another camera's calibration the panel would have another pose.
         self._still.forget()
         self._camera = self._waiting = None
         self._unread.clear()
@@ -234,7 +233,7 @@ class RecognitionNode(GraphNode):
             self.get_logger().error(f"camera_info: {error}", throttle_duration_sec=5.0)
 
     def _follow_corners(self) -> None:
-        """Subscribe to corners while the panel is searched; they cost as much as all else at rest."""
+        """Subscribe to corners while the panel is searched; they cost as much as everything else at rest."""
         tracked = self._live.config.on_demand and self._tracked >= _TRACKED
         if tracked and self._corners_in is not None:
             self.destroy_subscription(self._corners_in)
@@ -254,7 +253,7 @@ class RecognitionNode(GraphNode):
 
     def _on_image(self, message: ReceivedImage) -> None:
         stamp, period_ns = stamp_ns(message.header.stamp), 1e9 / self._live.config.rate_hz
-        # A stamp before the last one is a recording that has started anew.
+        # A stamp before the last one comes from a recording that has restarted.
         early = 0 <= stamp - self._last_stamp < 0.9 * period_ns
         if self._camera is None:
             self.get_logger().warning("waiting for camera_info", throttle_duration_sec=5.0)
@@ -290,7 +289,7 @@ class RecognitionNode(GraphNode):
             self.get_logger().error(f"plane: {error}", throttle_duration_sec=5.0)
 
     def _compare_depth(self) -> None:
-        """Let stereo tell how far away the panel is, until that and its print have been seen to agree."""
+        """Measure the panel's distance by stereo until it has been found to agree with the print."""
         self._depth.start_anew()
         if self._live.config.stereo_bound_mm > 0 and self._stereo_points is None:
             self._stereo_points = self.create_subscription(PointCloud2, "stereo_points", self._on_stereo, qos.SENSOR)
@@ -308,7 +307,7 @@ class RecognitionNode(GraphNode):
         self._raise()
 
     def _with_plane(self, sighting: Sighting, stamp: int) -> Transform:
-        """Return the sighting's pose, improved by the stereo plane where there is one that goes with it."""
+        """Return the sighting's pose, improved by the stereo plane if there is one near enough in time."""
         if self._plane is not None and abs(stamp - self._plane[0]) <= 1e9 * self._live.config.plane_max_age_s:
             better = with_plane(sighting.fit, self._plane[1], self._plane[2])
             if better is not None:
@@ -354,7 +353,7 @@ class RecognitionNode(GraphNode):
             stamp = stamp_ns(message.header.stamp)
             pose = self._agreement.add(None if agreeing is None else self._with_plane(agreeing, stamp))
         self._publish(sighting, pose, message)
-        # Of a tracker that is far behind fewer pictures are read: without their own tips they tell what is not so.
+        # If the tracker is far behind, fewer images are read: read without their own tips they would give wrong states.
         if sighting is not None and pose is not None and len(self._unread) < _KEPT_UNREAD:
             self._unread.append(_Unread(message=message, sighting=sighting, pose=pose, since_s=self._seconds()))
         self._frames += 1
@@ -365,9 +364,9 @@ class RecognitionNode(GraphNode):
         self._read_unread()
 
     def _pose_if_unchanged(self, gray: npt.NDArray[np.uint8]) -> Transform | None:
-        """Return the pose that counts if it has settled and the panel looks as when it was measured last.
+        """Return the accepted pose if it has settled and the panel looks the same as when it was last measured.
 
-        Who subscribes to the measured points wants those of each image.
+        With subscribers to the measured points, each image is measured.
         """
         if not self._live.config.on_demand or self._alarm or self._points.get_subscription_count():
             return None
@@ -375,7 +374,7 @@ class RecognitionNode(GraphNode):
         return settled if settled is not None and self._still.unchanged(gray) else None
 
     def _measured(self, gray: npt.NDArray[np.uint8], corners: npt.NDArray[np.float32] | None) -> Sighting | None:
-        """Search or follow the panel in an image, and compare its markers with it."""
+        """Search or track the panel in an image, and compare its markers with the result."""
         assert self._camera is not None
         camera = self._camera
         self._still.forget()
@@ -389,14 +388,14 @@ class RecognitionNode(GraphNode):
         return sighting
 
     def _detected(self, gray: npt.NDArray[np.uint8]) -> npt.NDArray[Any]:
-        """Return the corners of an image that is searched and whose published ones have not come."""
+        """Detect the corners of an image that is searched and whose published corners have not arrived."""
         self._own_corners += 1
         return self._detector.detect(gray).xy
 
     def _compare(self, markers: list[SeenMarker], sighting: Sighting | None) -> None:
-        """Raise the alarm when the markers contradict the print; only markers that confirm it end it.
+        """Raise the alarm when the markers contradict the print; only markers that confirm the print clear it.
 
-        Until they have done so once, the print alone does not tell the panel from one with other labels.
+        Before the first confirmation the print alone cannot distinguish the panel from one with other labels.
         """
         if sighting is None:
             return
@@ -412,7 +411,7 @@ class RecognitionNode(GraphNode):
         self._raise()
 
     def _raise(self) -> None:
-        """Publish what forbids every motion, once it has changed."""
+        """Publish the reason that forbids every motion, if it has changed."""
         text = "; ".join(part for part in (self._marker_alarm, self._depth.text) if part)
         if text == self._alarm:
             return
@@ -425,7 +424,7 @@ class RecognitionNode(GraphNode):
         self._sighting = sighting
         self._last_seen_s = self._seconds()
         self._confidence = sighting.agreement if sighting is not None and pose is not None else 0.0
-        # The pose goes first: who hears a confidence above zero has the pose that it belongs to.
+        # The pose goes first: a node that receives a confidence above zero then has the matching pose.
         if pose is not None and message is not None:
             self._pose.publish(pose_message(pose, message.header))
             if sighting is not None and self._points.get_subscription_count():
@@ -433,9 +432,9 @@ class RecognitionNode(GraphNode):
         self._confidence_out.publish(Float32(data=self._confidence))
 
     def _read_unread(self) -> None:
-        """Read what the stylus tracker has looked at, too; in order, as a screen is compared with what it was before.
+        """Read the images that the stylus tracker has processed, in order: screens are compared with earlier images.
 
-        A tracker that is silent is not waited for; one that is late, but at work, is.
+        The node waits for a tracker that is late, but not for one that sends no messages.
         """
         while self._unread:
             first, now_s = self._unread[0], self._seconds()
@@ -443,7 +442,7 @@ class RecognitionNode(GraphNode):
             if silent or self._tips.is_complete(stamp_ns(first.message.header.stamp)):
                 self._read(self._unread.popleft())
             elif now_s - first.since_s > _GIVEN_UP * self._live.config.tip_wait_s:
-                self._unread.popleft()  # it has left out more than it tells
+                self._unread.popleft()  # the tracker has skipped this image
             else:
                 return
 
@@ -468,7 +467,7 @@ class RecognitionNode(GraphNode):
 
     def _report(self) -> None:
         if self._depth.text == "" and self._stereo_points is not None:
-            # Matching takes time that others need; a camera that moves later is seen to by the tip.
+            # Matching takes time that other nodes need; a camera that moves later shows in the tip.
             self.destroy_subscription(self._stereo_points)
             self._stereo_points = None
         frames, found = self._frames - self._seen[0], self._found - self._seen[1]
@@ -507,16 +506,7 @@ class RecognitionNode(GraphNode):
 def _designated(config: RecognitionNodeConfig) -> tuple[PanelLayout, npt.NDArray[Any] | None]:
     if not config.layout:
         raise ConfigError("layout: the path of the designated panel's layout file is needed")
-    try:
-        layout = load_layout(Path(config.layout))
-    except (OSError, LayoutError) as error:
-        raise ConfigError(f"layout: {error}") from error
-    if not config.template:
-        return layout, None
-    picture = cv2.imread(config.template, cv2.IMREAD_GRAYSCALE)
-    if picture is None:
-        raise ConfigError(f"template: {config.template} is not a picture that can be read")
-    return layout, picture
+    return read_panel(config.layout, config.template)
 
 
 def main() -> int:

@@ -1,4 +1,4 @@
-"""The calibration of a stereo pair, put together from both cameras' ``camera_info`` topics."""
+"""Calibration of a stereo pair, assembled from both cameras' ``camera_info`` topics."""
 
 from __future__ import annotations
 
@@ -8,30 +8,30 @@ from collections.abc import Callable
 from rclpy.node import Node
 from sensor_msgs.msg import CameraInfo
 
-from icu_common.core.camera_model import CameraModel, StereoModel
+from icu_common.core.geometry.camera_model import CameraModel, StereoModel
 from icu_common.nodes import qos
 from icu_common.nodes.camera_info import CameraInfoSubscription
-from icu_common.nodes.conversions import camera_model
+from icu_common.nodes.messages.cameras import camera_model
 
 SIDES = ("left", "right")
 
 
 class StereoCalibration:
-    """Listens to ``left/camera_info`` and ``right/camera_info``.
+    """Subscribes to ``left/camera_info`` and ``right/camera_info``.
 
     Parameters
     ----------
     node
         The node that subscribes.
     on_change
-        Called after the pair's calibration became known, changed or unusable.
+        Called after the pair's calibration has become known, changed or unusable.
 
     Attributes
     ----------
     stereo
-        The pair's calibration, None while it is not known.
+        The pair's calibration; None while it is unknown.
     complaint
-        Why it is not known, else empty.
+        Reason why it is unknown, else empty.
     """
 
     def __init__(self, node: Node, on_change: Callable[[], None]) -> None:

@@ -1,4 +1,4 @@
-"""Stereo node: points in metres from the Harris corners of both pictures, and the panel's plane through them."""
+"""Stereo node: points in metres from the Harris corners of both images, and the panel's plane through them."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
 from rclpy.subscription import Subscription
 from sensor_msgs.msg import PointCloud2
 
-from harris_perception.core.gray import eight_bits, gray_of
-from harris_perception.core.pairing import Pairing
-from harris_perception.core.plane_fit import PlaneConfig, PlaneFit, fit_plane
-from harris_perception.core.stereo_matching import (
+from harris_perception.core.image.gray import eight_bits, gray_of
+from harris_perception.core.stereo.pairing import Pairing
+from harris_perception.core.stereo.plane_fit import PlaneConfig, PlaneFit, fit_plane
+from harris_perception.core.stereo.stereo_matching import (
     MatchConfig,
     Rectifier,
     disparity_range,
@@ -25,23 +25,18 @@ from harris_perception.core.stereo_matching import (
 )
 from harris_perception.nodes.compiling import compiling
 from harris_perception.nodes.stereo_calibration import SIDES, StereoCalibration
-from icu_common.core import frames
-from icu_common.core.camera_model import StereoModel
-from icu_common.core.config import Config, nested, setting
-from icu_common.core.geometry import Array
+from icu_common.core.configuration.config import Config, nested, setting
+from icu_common.core.geometry import frames
+from icu_common.core.geometry.camera_model import StereoModel
+from icu_common.core.geometry.geometry import Array
 from icu_common.nodes import qos
-from icu_common.nodes.conversions import (
-    cloud_array,
-    cloud_message,
-    estimate_message,
-    header,
-    image_array,
-    pose_message,
-    stamp_ns,
-)
 from icu_common.nodes.diagnostics import Diagnostics
 from icu_common.nodes.graph_node import GraphNode
 from icu_common.nodes.images import AnyImage, subscribe_to_images
+from icu_common.nodes.messages.cameras import image_array
+from icu_common.nodes.messages.clouds import cloud_array, cloud_message
+from icu_common.nodes.messages.heads import header, stamp_ns
+from icu_common.nodes.messages.places import estimate_message, pose_message
 from icu_common.nodes.on_demand import OnDemand, on_demand_setting
 from icu_common.nodes.parameters import LiveParameters
 from icu_common.nodes.runtime import run
@@ -55,9 +50,9 @@ _SEED = 0
 class StereoConfig(Config):
     """Settings of the stereo node."""
 
-    rate_hz: float = setting(5.0, "Pairs are matched at most this often.", minimum=0.1, maximum=120.0, unit="Hz")
+    rate_hz: float = setting(5.0, "Maximum rate of matched pairs", minimum=0.1, maximum=120.0, unit="Hz")
     pair_tolerance_s: float = setting(
-        0.004, "Left and right stamps of a pair differ by at most this.", minimum=0.0, maximum=0.1, unit="s"
+        0.004, "Maximum difference between the left and right stamps of a pair", minimum=0.0, maximum=0.1, unit="s"
     )
     matching: MatchConfig = nested(MatchConfig)
     plane: PlaneConfig = nested(PlaneConfig)
@@ -65,7 +60,7 @@ class StereoConfig(Config):
 
 
 class Matcher:
-    """Everything that is prepared once for a calibration and a configuration."""
+    """Objects that are prepared once for a calibration and a configuration."""
 
     def __init__(self, stereo: StereoModel, config: StereoConfig) -> None:
         self._stereo, self._config = stereo, config
@@ -87,9 +82,9 @@ class Matcher:
 
 class StereoNode(GraphNode):
     """Subscribes to ``image_raw``, ``camera_info`` and ``corners`` of both sides; publishes ``points2``,
-    ``panel_plane``, and that with its covariance as ``panel_plane_estimate``.
+    ``panel_plane``, and ``panel_plane_estimate``, which is the plane with its covariance.
 
-    Images and corners are subscribed to only while one of the three has a reader.
+    Images and corners are subscribed to only while one of the three has a subscriber.
     """
 
     def __init__(self, **options: Any) -> None:
@@ -166,12 +161,15 @@ class StereoNode(GraphNode):
 
     def _report(self) -> None:
         still = self._demand.running and self._sets.newest_ns == self._reported_ns
-        silent = "no pictures with corners in the last second" if still else ""
+        apart = self._sets.apart_text()
+        silent = (apart or "no pictures with corners in the last second") if still else ""
         self._reported_ns = self._sets.newest_ns
-        # What a pair was found to lack is of no moment where pairs no longer come, or nobody asks for more.
+        # The last pair's fault is outdated when no more pairs arrive, or no node subscribes to the results.
         wanted = self._demand.wanted
         complaint = self._calibration.complaint or silent or (self._complaint if wanted else "")
         values = [("pairs", self._matched), ("unpaired", self._sets.unpaired), *self._values]
+        if apart:
+            values += [("code", "no_pair"), ("difference_ms", f"{self._sets.apart_ns * 1e-6:.2f}")]
         level, text = ("warn", complaint) if complaint else ("ok", "matching" if wanted else "idle: no subscriber")
         self._diagnostics.tell(level, text, values)
 

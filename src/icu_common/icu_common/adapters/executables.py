@@ -1,4 +1,4 @@
-"""Where the programs of the workspace's packages are installed."""
+"""Paths of the installed programs of the workspace's packages."""
 
 from __future__ import annotations
 
@@ -9,17 +9,18 @@ from pathlib import Path
 def find_executable(package: str, executable: str, near: Path) -> Path:
     """Return the path of a package's executable.
 
-    It is looked for where ament says, and beside ``near``, an executable of the same workspace, so that nothing needs
-    to be sourced; in a workspace each package has its own prefix, or all have one (``colcon build --merge-install``).
+    The search covers the prefixes that ament lists and those next to ``near``, an executable of the same workspace, so
+    nothing needs to be sourced. In a workspace each package has its own prefix, or all packages share one
+    (``colcon build --merge-install``).
 
     Raises
     ------
     FileNotFoundError
-        With the places that were tried.
+        With the paths that were tried.
     """
     own = near.resolve().parents
     prefixes = [Path(p) for p in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if p]
-    # Of PREFIX/lib/PACKAGE/EXECUTABLE.
+    # The prefix in PREFIX/lib/PACKAGE/EXECUTABLE.
     beside = [own[3] / package, own[3], own[2]] if len(own) > 3 else []
     tried = []
     for prefix in (*beside, *prefixes):

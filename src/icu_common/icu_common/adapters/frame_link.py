@@ -1,8 +1,9 @@
-"""Stereo pairs over a Unix socket: how a simulated camera hands its pictures to the camera node.
+"""Stereo pairs over a Unix socket, from a simulated camera to the camera node.
 
-One message is a header (magic, count, height, width, channels, stamp) and the raw pixels of ``count`` pictures of
-equal size. The server never waits for a slow reader: a reader that has not taken its last pair misses the next one, as
-with a real device.
+One message is a header (magic, count, height, width, channels), an entry for each image (the camera's index and the
+image's stamp), and the raw pixels of ``count`` images of equal size. A message has one image if the other camera
+lost its image. The server never waits for a slow reader: a reader that has not read its last pair misses the next one,
+as with a real device.
 """
 
 from __future__ import annotations
@@ -12,30 +13,42 @@ import os
 import selectors
 import socket
 import struct
+from collections.abc import Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from icu_common.adapters.unix_listener import listen_at
 
-_HEADER = struct.Struct("<4sIIIIq")
-_MAGIC = b"ICU1"
+_HEADER = struct.Struct("<4sIIII")
+_ENTRY = struct.Struct("<Iq")
+_MAGIC = b"ICU2"
+MAX_CAMERAS = 8
 MAX_BYTES = 64 * 1024 * 1024
 FRAMES = "camera:frames"
-"""Ledger entry in which a stepped bench and its camera node count pairs (see icu_common.adapters.step_ledger)."""
+"""Ledger entry in which a stepped bench and its camera node count pairs (see icu_common.adapters.steps.step_ledger)."""
 
 Picture = npt.NDArray[np.uint8]
 
 
+class Received(NamedTuple):
+    """Images of one message, (H, W, C) uint8, the stamp of each in ns, and the index of the camera of each."""
+
+    pictures: list[Picture]
+    stamps_ns: tuple[int, ...]
+    cameras: tuple[int, ...]
+
+
 class FrameServer:
-    """Serves pictures to any number of readers on a Unix socket; all calls return at once."""
+    """Serves images to any number of readers on a Unix socket; all calls return at once."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
         self._listener = listen_at(path)
         self._readers: dict[socket.socket, list[memoryview]] = {}
-        """What each reader has still to be sent."""
+        """Data that is still to be sent to each reader."""
 
     def reader_count(self) -> int:
         """Accept waiting readers and return how many are connected."""
@@ -48,13 +61,34 @@ class FrameServer:
             reader.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 8 * 1024 * 1024)
             self._readers[reader] = []
 
-    def send(self, pictures: list[Picture], stamp_ns: int) -> None:
-        """Offer pictures of one shape, (H, W, 3) uint8, taken at ``stamp_ns`` (ROS time), to every reader.
+    def send(
+        self, pictures: Sequence[Picture], stamps_ns: int | Sequence[int], cameras: Sequence[int] | None = None
+    ) -> None:
+        """Offer images of one shape to every reader.
 
-        They are not copied: they must not change before :meth:`flush` has returned True.
+        Parameters
+        ----------
+        pictures
+            Each (H, W, C) uint8. They are not copied: they must not change before :meth:`flush` has returned True.
+        stamps_ns
+            ROS time of each image, or one time for all.
+        cameras
+            Index of each image's camera; by default the images are those of the cameras 0, 1, ...
+
+        Raises
+        ------
+        ValueError
+            If shapes or counts do not match.
         """
         height, width, channels = pictures[0].shape
-        header = _HEADER.pack(_MAGIC, len(pictures), height, width, channels, stamp_ns)
+        stamps = (stamps_ns,) * len(pictures) if isinstance(stamps_ns, int) else tuple(stamps_ns)
+        indices = tuple(range(len(pictures))) if cameras is None else tuple(cameras)
+        if not len(stamps) == len(indices) == len(pictures) <= MAX_CAMERAS:
+            raise ValueError(f"{len(pictures)} images, {len(stamps)} stamps, {len(indices)} cameras")
+        if any(picture.shape != (height, width, channels) for picture in pictures):
+            raise ValueError(f"images of unequal shapes: {[picture.shape for picture in pictures]}")
+        header = _HEADER.pack(_MAGIC, len(pictures), height, width, channels)
+        header += b"".join(_ENTRY.pack(index, stamp) for index, stamp in zip(indices, stamps))
         parts = [memoryview(header), *(np.ascontiguousarray(p).data.cast("B") for p in pictures)]
         self.reader_count()
         for reader, left in list(self._readers.items()):
@@ -63,7 +97,7 @@ class FrameServer:
         self.flush()
 
     def flush(self) -> bool:
-        """Push what the readers can take now; return whether everything has gone."""
+        """Send what the readers can take now; return whether everything has been sent."""
         for reader, left in list(self._readers.items()):
             try:
                 while left:
@@ -101,16 +135,17 @@ def _leave_out(parts: list[memoryview], count: int) -> None:
 
 
 class FrameClient:
-    """Reads pictures from a :class:`FrameServer`.
+    """Reads images from a :class:`FrameServer`.
 
     Raises
     ------
     OSError
-        From the constructor, when nobody serves at ``path``.
+        From the constructor, if no server listens at ``path``.
     """
 
     def __init__(self, path: Path) -> None:
-        self._head: list[int] | None = None
+        self._shape: tuple[int, int, int, int] | None = None
+        self._entries: list[tuple[int, int]] | None = None
         self._part, self._done = np.empty(0, np.uint8), 0
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         try:
@@ -121,28 +156,29 @@ class FrameClient:
             self._socket.close()
             raise
 
-    def read(self, timeout_s: float) -> tuple[list[Picture], int]:
-        """Return the next pictures, each (H, W, C) uint8, and their stamp in ns.
+    def read(self, timeout_s: float) -> Received:
+        """Return the next images.
 
         Raises
         ------
         TimeoutError
-            If nothing arrived for so long; the next call goes on where this one stopped.
+            If no data arrived within the time; the next call continues where this one stopped.
         ConnectionError
-            If the server has gone or sends something else; the client must be closed.
+            If the server has ended or sends invalid data; the client must be closed.
         """
         self._socket.settimeout(timeout_s)
-        if self._head is None:
-            magic, *head = _HEADER.unpack(self._receive(_HEADER.size).data)
-            count, height, width, channels, _ = head
-            if magic != _MAGIC or not 0 < count * height * width * channels <= MAX_BYTES:
-                what = f"{count} pictures of {width} x {height} x {channels}"
+        if self._shape is None:
+            magic, count, height, width, channels = _HEADER.unpack(self._receive(_HEADER.size).data)
+            if magic != _MAGIC or not 0 < count * height * width * channels <= MAX_BYTES or count > MAX_CAMERAS:
+                what = f"{count} images of {width} x {height} x {channels}"
                 raise ConnectionError(f"not a frame: magic {magic!r}, {what}")
-            self._head = head
-        *shape, stamp_ns = self._head
-        body = self._receive(math.prod(shape)).reshape(shape)
-        self._head = None
-        return list(body), stamp_ns
+            self._shape = count, height, width, channels
+        if self._entries is None:
+            self._entries = list(_ENTRY.iter_unpack(self._receive(self._shape[0] * _ENTRY.size).data))
+        body = self._receive(math.prod(self._shape)).reshape(self._shape)
+        cameras, stamps_ns = zip(*self._entries)
+        self._shape = self._entries = None
+        return Received(list(body), stamps_ns, cameras)
 
     def _receive(self, size: int) -> npt.NDArray[np.uint8]:
         if not self._done:

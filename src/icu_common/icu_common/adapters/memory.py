@@ -1,4 +1,4 @@
-"""How this process gets its memory from the system."""
+"""Allocation of this process's memory."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3
 
 
 def keep_large_blocks() -> None:
-    """Let malloc keep blocks of a picture's size that were freed, where it can be told so (mallopt(3)).
+    """Make malloc keep freed blocks of an image's size, where it can be configured (mallopt(3)).
 
-    Without it each picture is mapped and unmapped anew (1080p: 6.9 instead of 0.4 ms to serialise).
+    Otherwise each image is mapped and unmapped again (1080p: 6.9 instead of 0.4 ms to serialise).
     """
     with contextlib.suppress(OSError, AttributeError):
         libc = ctypes.CDLL(None)

@@ -1,4 +1,4 @@
-"""Real-time scheduling for what stops the machine, or lets it move: beside cameras it must not wait for its turn."""
+"""Real-time scheduling for programs that move or stop the machine: they must not wait for camera processes."""
 
 from __future__ import annotations
 
@@ -6,25 +6,25 @@ import os
 import time
 
 DRIVER, BRIDGE = 20, 10
-"""Of 1 to 99: above everything ordinary, below what the kernel runs at 50; the driver before the page's bridge."""
+"""Priorities from 1 to 99: above ordinary processes, below the kernel's threads at 50, driver above page bridge."""
 
 
 def steady_s() -> float:
-    """Return the seconds of a clock that nobody sets, and that goes on while the computer sleeps."""
+    """Return the seconds of a clock that cannot be set, and that continues while the computer sleeps."""
     return time.clock_gettime(time.CLOCK_BOOTTIME)
 
 
 def ask_for_real_time(priority: int, process: int = 0) -> str:
-    """Schedule a process before all ordinary ones, with the threads that it starts from now on.
+    """Schedule a process, and the threads that it starts later, before all ordinary processes.
 
-    The kernel keeps 5 % of the time for the others whatever it does. One that has a higher priority keeps it.
+    The kernel always reserves 5 % of the time for the others. A process with a higher priority keeps that priority.
 
     Parameters
     ----------
     priority
         1 to 99.
     process
-        Its number; 0 is the caller.
+        Process number; 0 is the caller.
 
     Returns
     -------
@@ -41,7 +41,7 @@ def ask_for_real_time(priority: int, process: int = 0) -> str:
 
 
 def give_up_real_time(process: int) -> None:
-    """Schedule a process, which has no other threads yet, as ordinary ones are: a child has what its parent has."""
+    """Schedule a process without other threads as an ordinary one: a child inherits its parent's scheduling."""
     os.sched_setscheduler(process, os.SCHED_OTHER, os.sched_param(0))
 
 

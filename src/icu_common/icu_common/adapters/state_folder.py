@@ -1,4 +1,4 @@
-"""The folder in which a robot's files are kept: calibration, sign-in, audit, recordings."""
+"""Folder of a robot's files: calibration, sign-in, audit, recordings."""
 
 from __future__ import annotations
 
@@ -7,10 +7,11 @@ from pathlib import Path
 
 
 def default_state_folder(namespace: str = "") -> Path:
-    """Return this user's folder for the robot of a ROS namespace; it need not be there yet.
+    """Return this user's folder for the robot of a ROS namespace; it may not exist yet.
 
-    Each namespace has its own: one robot's calibration is wrong for another. ``$XDG_STATE_HOME`` counts if it is
-    absolute, as freedesktop.org's base directory specification says: else each working directory would have another.
+    Each namespace has its own folder: one robot's calibration is wrong for another. A relative ``$XDG_STATE_HOME`` is
+    ignored, as freedesktop.org's base directory specification requires: the folder would depend on the working
+    directory.
     """
     given = Path(os.environ.get("XDG_STATE_HOME", "")).expanduser()
     base = given if given.is_absolute() else Path.home() / ".local" / "state"

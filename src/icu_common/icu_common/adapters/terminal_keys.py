@@ -1,7 +1,7 @@
-"""Single keys of a terminal, for programs that may also run in its background.
+"""Single keys of a terminal, for programs that may also run in the background.
 
-The kernel stops a program that sets up its terminal, or reads from it, from the background: for one that moves a
-machine, or plays a recording, that must not happen.
+The kernel stops a background program that configures or reads its terminal. That must not happen to a program that
+moves a machine or plays a recording.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from collections.abc import Callable, Iterator
 
 @contextlib.contextmanager
 def terminal_keys() -> Iterator[Callable[[], str]]:
-    """Give the keys typed since the last call, without waiting; none in the background, or without a terminal."""
+    """Provide a function that returns the keys typed since its last call, none in the background, without waiting."""
     if not _in_front():
         yield lambda: ""
         return
@@ -42,15 +42,15 @@ def _in_front() -> bool:
         return False
     try:
         return os.tcgetpgrp(sys.stdin.fileno()) == os.getpgrp()
-    except OSError:  # a terminal that does not control this process stops nobody
+    except OSError:  # a terminal that does not control this process stops no program
         return True
 
 
 def typed_text() -> str | None:
     """Return the lines entered since the last call, without waiting; None once the terminal has been closed.
 
-    The terminal keeps its settings: it shows what is typed, and a line counts when Enter is pressed. So a program that
-    is killed leaves no terminal behind that shows nothing.
+    The terminal keeps its settings: it echoes the input, and a line is complete when Enter is pressed. A killed program
+    therefore never leaves a terminal without echo.
     """
     if not _in_front():
         return ""

@@ -1,4 +1,4 @@
-"""What of the environment is Fast DDS's: its profile, domain and peers; and whether pictures fit into its sockets."""
+"""Fast DDS's part of the environment (profile, domain, peers), and whether images fit into its socket buffers."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ PROFILE_VARIABLE = "FASTRTPS_DEFAULT_PROFILES_FILE"
 RANGE_VARIABLE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 _SOCKET_BUFFER_BYTES = 4 << 20
 _LAST_DOMAIN = 232
-"""Ports of the next one would be above 65535 (RTPS 2.5, 9.6.2.3)."""
+"""Largest ROS domain: the ports of the next one would be above 65535 (RTPS 2.5, 9.6.2.3)."""
 
 
 def check_environment() -> None:
-    """Raise a ValueError for a domain or a peer that Fast DDS cannot take: it would end the process without a word.
+    """Check domain and peers: Fast DDS would end the process without a message on an invalid one.
 
     Raises
     ------
     ValueError
-        With the variable, its value and what is needed.
+        With the variable, its value and the expected values.
     """
     domain = os.environ.get("ROS_DOMAIN_ID", "")
     try:
@@ -37,7 +37,7 @@ def check_environment() -> None:
 
 
 def profiles_folder() -> Path:
-    """Return where the graph's own profiles are."""
+    """Return the folder of the graph's own profiles."""
     return Path(str(resources.files("icu_common"))).resolve()
 
 
@@ -48,7 +48,7 @@ def is_users_own() -> bool:
 
 
 def keeps_to_this_host() -> bool:
-    """Whether nothing in the environment asks for others than this host's programs: a range, a peer or a server."""
+    """Whether the environment limits the graph to this host: no discovery range, peer or server opens the network."""
     opened = any(os.environ.get(name) for name in ("ROS_STATIC_PEERS", "ROS_DISCOVERY_SERVER"))
     wanted = os.environ.get(RANGE_VARIABLE, "LOCALHOST")
     of_parent = Path(os.environ.get(PROFILE_VARIABLE, "")).name.startswith("fastdds_local_sockets")
@@ -56,10 +56,10 @@ def keeps_to_this_host() -> bool:
 
 
 def sockets_hold_pictures() -> bool:
-    """Whether this system grants the buffers that the profiles ask for (Linux: net.core.rmem_max, wmem_max)."""
+    """Whether this system grants the buffers that the profiles request (Linux: net.core.rmem_max, wmem_max)."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         for option in (socket.SO_RCVBUF, socket.SO_SNDBUF):
             probe.setsockopt(socket.SOL_SOCKET, option, _SOCKET_BUFFER_BYTES)
-            if probe.getsockopt(socket.SOL_SOCKET, option) < 2 * _SOCKET_BUFFER_BYTES:  # socket(7): it tells twice
+            if probe.getsockopt(socket.SOL_SOCKET, option) < 2 * _SOCKET_BUFFER_BYTES:  # socket(7) reports double
                 return False
     return True

@@ -1,4 +1,4 @@
-"""Listening on a Unix socket, which is a name in the file system, without taking the place of a file."""
+"""Listening Unix sockets, which have a name in the file system and must not replace a file."""
 
 from __future__ import annotations
 
@@ -7,19 +7,19 @@ import stat
 from pathlib import Path
 
 _LONGEST_PATH = 107
-"""Bytes; unix(7): 108 with the zero at the end."""
+"""Maximum length of a socket's path in bytes; unix(7): 108 with the terminating zero."""
 _BACKLOG = 8
 
 
 def listen_at(path: Path) -> socket.socket:
-    """Return a socket that listens at ``path`` and blocks nobody; one that a killed program left there goes.
+    """Return a non-blocking socket that listens at ``path``; it replaces a socket that a killed program left there.
 
     Raises
     ------
     OSError
-        If the folder cannot be made, the path is too long for a socket, or there can be no socket.
+        If the folder cannot be created, the path is too long for a socket, or the socket cannot be created.
     FileExistsError
-        If something else than a socket is there.
+        If ``path`` exists and is not a socket.
     """
     if len(bytes(path)) > _LONGEST_PATH:
         raise OSError(f"{path}: a socket's path may have {_LONGEST_PATH} bytes")
@@ -31,7 +31,7 @@ def listen_at(path: Path) -> socket.socket:
     listener.setblocking(False)
     try:
         listener.bind(bytes(path))
-    except OSError as error:  # which names no file
+    except OSError as error:  # its text does not name the file
         listener.close()
         raise OSError(f"{path}: {error.strerror}") from error
     listener.listen(_BACKLOG)

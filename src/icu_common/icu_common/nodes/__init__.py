@@ -1,1 +1,1 @@
-"""What needs rclpy: parameters, QoS profiles, message conversions, process start and end."""
+"""All code that needs rclpy: parameters, QoS profiles, message conversions, process start and end."""

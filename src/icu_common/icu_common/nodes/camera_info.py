@@ -14,10 +14,13 @@ from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import CameraInfo
 
-from icu_common.nodes.conversions import same_camera
+from icu_common.nodes.messages.cameras import same_camera
 
 _STAMP_AT, _STAMP_END = 4, 12
-"""CDR: four bytes of encapsulation, the header's stamp (int32 and uint32), and what belongs to the calibration."""
+"""Bounds of the stamp in CDR: 4 bytes of encapsulation, the header's stamp (int32, uint32), then the calibration."""
+
+_DROPPED_S = 5.0
+"""Minimum interval between two log entries on messages that cannot be unpacked."""
 
 
 class CameraInfoSubscription:
@@ -47,7 +50,7 @@ class CameraInfoSubscription:
         self._subscription: Any = node.create_subscription(CameraInfo, topic, self._on_bytes, profile, raw=True)
 
     def again(self) -> None:
-        """Report the next message even if it is the same: the last one could not be used, and that is said again."""
+        """Report the next message even if it is equal: the last one could not be used, and that is reported again."""
         self._bytes, self._known = b"", None
 
     def end(self) -> None:
@@ -56,14 +59,20 @@ class CameraInfoSubscription:
 
     def _on_bytes(self, data: bytes) -> None:
         if data[_STAMP_END:] != self._bytes:
+            try:
+                message = deserialize_message(data, CameraInfo)
+            except RuntimeError as error:  # RMWError, which rclpy does not export
+                text = f"camera_info: message of {len(data)} bytes dropped: {error}"
+                self._node.get_logger().error(text, throttle_duration_sec=_DROPPED_S)
+                return
             self._bytes = data[_STAMP_END:]
-            self._compare(deserialize_message(data, CameraInfo))
+            self._compare(message)
         if self._on_each is not None:
             seconds, nanoseconds = struct.unpack_from("<iI" if data[1] else ">iI", data, _STAMP_AT)
             self._on_each(seconds * 1_000_000_000 + nanoseconds)
 
     def _compare(self, message: CameraInfo) -> None:
-        # Equal messages may differ in their bytes: what the writer leaves between aligned fields is anything.
+        # Equal messages may differ in their bytes: the padding between aligned fields is undefined.
         if not same_camera(self._known, message):
-            self._known = message  # before the call, in which again() may be called
+            self._known = message  # before the callback, which may call again()
             self._on_change(message)

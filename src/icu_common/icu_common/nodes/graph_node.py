@@ -1,6 +1,6 @@
 """The base of every node of the graph: counted messages, timers of simulated time, watched and bounded subscriptions.
 
-rclpy stays as it is: what is added is done by overriding ``create_publisher`` and ``create_subscription``, through
+rclpy stays unchanged: all additions override ``create_publisher`` and ``create_subscription``, through
 which rclpy itself subscribes to ``/clock``.
 """
 
@@ -21,31 +21,31 @@ from rclpy.serialization import deserialize_message
 from rclpy.subscription import Subscription
 from rclpy.time import Time
 
-from icu_common.adapters.step_ledger import LEDGER_VARIABLE, StepLedger
+from icu_common.adapters.steps.step_ledger import LEDGER_VARIABLE, StepLedger
 from icu_common.nodes.admission.message_sizes import max_bytes_of
 from icu_common.nodes.qos import ARRIVES_WHOLE
 
 CLOCK_TOPIC = "/clock"
 Observer = Callable[[Node, Subscription], Callable[[], None]]
-"""Gets each new subscription, and returns what is called before each of its callbacks."""
+"""Function of a new subscription; it returns a function to call before each callback of the subscription."""
 _DEPTH = 200
-"""Messages that a subscription of a process that counts holds: none may be dropped."""
+"""Queue depth of subscriptions in a process that counts: no message may be dropped."""
 _DROPPED_S = 5.0
 """Minimum interval between two log entries on messages that were dropped."""
 _PUBLISHED_DEPTH = 20
-"""Messages that a publisher holds until every subscription has them; images take 3 MB each."""
+"""Number of messages that a publisher holds until every subscription has them; images take 3 MB each."""
 
 
 @dataclass(slots=True)
 class ProcessContext:
-    """What the nodes of this process share.
+    """State shared by the nodes of this process.
 
     Attributes
     ----------
     ledger
-        Where messages are counted; None in a process that runs by its own clock.
+        Ledger in which messages are counted; None in a process that uses its own clock.
     observer
-        Watches every subscription; None where nothing does.
+        Observer of every subscription; None if there is none.
     publishers
         The counted publishers.
     """
@@ -55,7 +55,7 @@ class ProcessContext:
     publishers: list[Publisher] = field(default_factory=list)
 
     def count_steps(self) -> None:
-        """Register with the ledger that the environment names, if it names one.
+        """Register with the ledger that the environment names, if any.
 
         Raises
         ------
@@ -69,7 +69,7 @@ class ProcessContext:
 
     @property
     def simulated(self) -> bool:
-        """Whether a simulation advances the time; a recording that is played in step does not set the ledger's."""
+        """Whether a simulation advances the time; a recording played in step does not set the ledger's time."""
         return self.ledger is not None and self.ledger.time_ns > 0
 
     def show_matches(self) -> None:
@@ -77,9 +77,10 @@ class ProcessContext:
         if self.ledger is not None:
             for publisher in self.publishers:
                 self.ledger.match(publisher.topic_name, publisher.get_subscription_count())
+            self.ledger.show()
 
     def end(self) -> None:
-        """Give the ledger's row back."""
+        """Release the row of the ledger."""
         if self.ledger is not None:
             self.ledger.close()
         self.ledger, self.observer = None, None
@@ -90,12 +91,12 @@ this_process = ProcessContext()
 
 
 class CountedPublisher(Publisher):
-    """A publisher that counts each message once for every registered subscription that gets it."""
+    """A publisher that counts each message once for every registered subscription that receives it."""
 
     def publish(self, msg: Any) -> None:
         """Count and send a message."""
         if (ledger := this_process.ledger) is not None:
-            # Programs that do not count, such as `ros2 topic echo`, are among the matched ones only.
+            # Programs that do not count, such as `ros2 topic echo`, are only among the matched ones.
             topic = self.topic_name
             ledger.expect(topic, min(self.get_subscription_count(), ledger.subscriptions(topic)))
         super().publish(msg)
@@ -109,7 +110,7 @@ class _ClockTimer:
 
 
 class _Graph:
-    """Overrides of Node; a class before Node in the order of bases."""
+    """Overrides of Node; this class precedes Node in the order of bases."""
 
     # Node.__init__ subscribes to /clock before a constructor of this class could set them.
     _clock_timers: list[_ClockTimer]
@@ -123,7 +124,7 @@ class _Graph:
             clock.set_ros_time_override(Time(nanoseconds=now_ns, clock_type=ClockType.ROS_TIME))
 
     def create_publisher(self, msg_type: Any, topic: str, qos_profile: Any, **kwargs: Any) -> Any:
-        """Create a publisher as Node does; it counts where the process counts."""
+        """Create a publisher as Node does; it counts if the process counts."""
         if this_process.ledger is None:
             return super().create_publisher(msg_type, topic, qos_profile, **kwargs)  # type: ignore[misc]
         kwargs.setdefault("publisher_class", CountedPublisher)
@@ -150,7 +151,7 @@ class _Graph:
         too_large: Callable[[int], object] | None = None,
         **kwargs: Any,
     ) -> Any:
-        """Create a subscription as Node does; the process's ledger and observer learn of each of its callbacks.
+        """Create a subscription as Node does; the process's ledger and observer are informed of each callback.
 
         Parameters
         ----------
@@ -234,7 +235,7 @@ class _Graph:
         return bool(super().destroy_subscription(subscription))  # type: ignore[misc]
 
     def add_clock_timer(self, period_s: float, callback: Callable[[], object]) -> None:
-        """Call back every ``period_s`` of the time on ``/clock``, in the step that reaches it."""
+        """Call back every ``period_s`` of the time on ``/clock``, in the step that reaches the due time."""
         timer = _ClockTimer(period_ns=round(period_s * 1e9), callback=callback)
         self._clock_timers = [*getattr(self, "_clock_timers", []), timer]
 
@@ -249,7 +250,7 @@ class _Graph:
             if timer.due_ns is None or timer.due_ns > now_ns + timer.period_ns:  # the first step, or set back
                 timer.due_ns = now_ns + timer.period_ns
             if now_ns >= timer.due_ns:
-                # A step longer than the period calls once, as rclpy's timers do.
+                # A step longer than the period causes one call, as with rclpy's timers.
                 timer.due_ns += timer.period_ns * ((now_ns - timer.due_ns) // timer.period_ns + 1)
                 timer.callback()
 
@@ -267,9 +268,9 @@ def _lossless(profile: Any, *, published: bool = False) -> QoSProfile:
     depth = _PUBLISHED_DEPTH if published else _DEPTH
     if not isinstance(profile, QoSProfile):
         return QoSProfile(depth=depth, reliability=ReliabilityPolicy.RELIABLE)
-    # A publisher's depth is what a late subscriber of a latched topic gets.
+    # A publisher's depth limits how many messages a late subscriber of a latched topic receives.
     latched = published and profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
-    # A reader of images that asks for lost parts can hang after a kill (docs/decisions/transport.md).
+    # A reader of images that requests lost fragments can hang after a kill (docs/decisions/transport.md).
     as_sent = not published and this_process.simulated and ARRIVES_WHOLE
     return QoSProfile(
         depth=profile.depth if latched else depth,

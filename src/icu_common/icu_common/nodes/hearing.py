@@ -1,9 +1,9 @@
-"""Tells whether a program still hears the others; one that does not is ended, to be started anew.
+"""Detects a program that no longer receives messages; the program is then ended and restarted.
 
-A program that is killed leaves its part of Fast DDS's shared memory behind. Now and then a camera goes on writing to it
-after the successor has made its own: both know each other, and nothing is heard, for ever. And Fast DDS's threads can
-wait for each other when some program of the graph ends: from then on all that comes is left lying. Then the node goes
-on, and hears nothing, for ever. See docs/decisions/processes.md.
+A killed program leaves its part of Fast DDS's shared memory behind. Sometimes a camera continues to write to it after
+the successor has created its own: both have discovered each other, but no message ever arrives. Fast DDS's threads can
+also wait for each other when a program of the graph ends: from then on no message is delivered. The node then continues
+to run and never receives a message again. See docs/decisions/processes.md.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from icu_common.nodes.graph_node import GraphNode, this_process
 from icu_common.nodes.timers import runs_by_clock_topic
 
 LIMIT_S = 8.0
-"""A camera needs less for its first picture, and for the next ones."""
+"""Seconds without messages of a matched camera; a camera needs less for its first image, and between images."""
 SILENCE_S = 15.0
-"""Every program tells of itself each second; one that was stopped for long is found again by the others within this."""
+"""Seconds without any message. Each program reports every second; others rediscover a stopped one in less time."""
 _LOOK_S, _LONGEST_TURN_S = 0.25, 1.0
-"""Between two looks: the least time, and the most silence that counts, as what came meanwhile is yet to be served."""
+"""Minimum interval between two checks, and maximum silence it counts: messages may still wait to be served."""
 _INFO, _PICTURES = "camera_info", "image_raw"
 
 
@@ -35,7 +35,7 @@ class _Ear:
     made: Subscription | None = None
     heard: bool = False
     silent_s: float = 0.0
-    """Since it heard anything; of pictures only while the rest of their camera is heard."""
+    """Seconds since the last message; for images, counted only while the camera's other topic is received."""
     matched_at_s: float | None = None
 
 
@@ -45,12 +45,12 @@ class Hearing:
     Parameters
     ----------
     after_crash
-        The process's predecessor was ended by a signal: a camera that is there, and never heard, counts as well.
+        The process's predecessor was ended by a signal: a camera that is present but never received counts as well.
     others
-        That nothing at all is heard any more counts as well, and that pictures alone are not: all others are on this
-        host, so no network is cut or slow.
+        The loss of all messages, or of images alone, counts as well: all other programs are on this host, so no network
+        is cut or slow.
     limit_s, silence_s
-        How long nothing may be heard of a camera or its pictures, and of all.
+        Maximum seconds without messages from a camera or its images, and without any message.
     """
 
     def __init__(
@@ -60,11 +60,11 @@ class Hearing:
         self._after_crash, self._others = after_crash, others
         self._ears: list[tuple[Node, _Ear]] = []
         self._any = _Ear()
-        """What any subscription hears; ``heard`` once it was another program."""
+        """Messages of any subscription; ``heard`` is set by the first message of another program."""
         self._looked_at_s = -math.inf
 
     def observe(self, node: Node, subscription: Subscription) -> Callable[[], None]:
-        """Watch a new subscription; call what is returned before each of its callbacks."""
+        """Watch a new subscription; call the returned function before each of its callbacks."""
         ear = _Ear(made=subscription)
         self._ears.append((node, ear))
 
@@ -75,7 +75,7 @@ class Hearing:
         return hears
 
     def listen(self, node: GraphNode) -> None:
-        """Hear what the other programs tell of themselves each second, unless those are a recording's seconds."""
+        """Subscribe to the other programs' diagnostics of each second, unless a recording sets the time."""
         if runs_by_clock_topic(node) and this_process.ledger is None:
             self._others = False
             return
@@ -84,12 +84,12 @@ class Hearing:
         )
 
     def _on_diagnostics(self, data: bytes) -> None:
-        # Serialised, as it is of no interest who says what; the process's own words come by another way.
+        # Serialised, as sender and content do not matter; the process's own messages take another path.
         if not any(_serialised(name) in data for name in diagnostics.own_names):
             self._any.heard, self._any.silent_s = True, 0.0
 
     def deaf(self, now_s: float) -> str:
-        """Return what is not heard though somebody speaks there, empty without such a thing."""
+        """Return the topic on which no messages arrive although they are sent, and why; empty if there is none."""
         if now_s - self._looked_at_s < _LOOK_S:
             return ""
         turn_s = min(now_s - self._looked_at_s, _LONGEST_TURN_S)
@@ -106,7 +106,7 @@ class Hearing:
         return ""
 
     def _picture_less(self) -> str:
-        """Return the pictures that are not heard any more from a camera of which the rest is."""
+        """Return the image topic that has fallen silent while the camera's camera_info is received."""
         ears = {_parts(ear): ear for _, ear in self._ears}
         for (place, name), ear in ears.items():
             info = ears.get((place, _INFO))
@@ -119,7 +119,7 @@ class Hearing:
         return ""
 
     def _never_heard(self, now_s: float) -> str:
-        """Return a topic on which a camera is there and was never heard for too long."""
+        """Return the topic of a camera that has been present for too long without a received message."""
         for node, ear in self._ears:
             if ear.heard:
                 continue
@@ -136,7 +136,7 @@ class Hearing:
 
 
 def _parts(ear: _Ear) -> tuple[str, str]:
-    """Return place and name of a topic."""
+    """Return namespace and name of a topic."""
     assert ear.made is not None
     place, _, name = ear.made.topic_name.rpartition("/")
     return place, name
@@ -148,6 +148,6 @@ def _is_camera(node: Node, ear: _Ear) -> bool:
 
 
 def _serialised(text: str) -> bytes:
-    """Return a string as CDR has it (little-endian): its length with the zero at its end, and itself."""
+    """Return a string in CDR (little-endian): its length with the terminating zero, then the string."""
     data = text.encode() + b"\0"
     return struct.pack("<I", len(data)) + data

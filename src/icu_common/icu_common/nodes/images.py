@@ -1,10 +1,10 @@
-"""Images as they travel: packed and unpacked without the copies that rclpy makes of a message's fields.
+"""Packing and unpacking of images without the copies that rclpy makes of a message's fields.
 
 Between its serialised form and a Python message rclpy copies an image's pixels three times, 1.3 ms for a colour image
-of 1280x720 on each side. Here a sender writes the serialised form itself, and a reader looks at the pixels in it.
+of 1280x720 on each side. Here a sender writes the serialised form itself, and a reader uses the pixels in place.
 
 The form is CDR as Fast DDS writes it (OMG DDS-XTypes 7.4.1, "plain CDR"): four bytes of encapsulation, then the fields
-in order, each number aligned to its size counted from the end of the encapsulation.
+in order. Each number is aligned to its size, counted from the end of the encapsulation.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _START = len(_LITTLE)
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class ReceivedImage:
-    """An image with the fields of sensor_msgs/Image; ``data`` shows the bytes that arrived."""
+    """An image with the fields of sensor_msgs/Image; ``data`` is a view of the received bytes."""
 
     header: Header
     height: int
@@ -60,12 +60,12 @@ def image_bytes(picture: npt.NDArray[Any], encoding: str, head: Header) -> bytes
 
 
 def image_of_bytes(data: bytes) -> ReceivedImage:
-    """Return what a serialised image holds, without a copy of its pixels.
+    """Return the contents of a serialised image without a copy of its pixels.
 
     Raises
     ------
     ValueError
-        If the bytes are no serialised image.
+        If the bytes are not a serialised image.
     """
     if data[:_START] not in (_LITTLE, _BIG):
         raise ValueError(f"encapsulation {data[:_START].hex()}: expected plain CDR")
@@ -95,7 +95,7 @@ def image_of_bytes(data: bytes) -> ReceivedImage:
 def subscribe_to_images(
     node: Node, topic: str, callback: Callable[[ReceivedImage], None], profile: QoSProfile
 ) -> Subscription:
-    """Subscribe to images without unpacking them; the callback may keep what it gets."""
+    """Subscribe to images without unpacking them; the callback may keep the image."""
     return node.create_subscription(Image, topic, lambda data: callback(image_of_bytes(data)), profile, raw=True)
 
 
@@ -104,7 +104,7 @@ def _align(buffer: bytearray) -> None:
 
 
 def _aligned(offset: int) -> int:
-    """Return the next multiple of four, counted from the end of the encapsulation, which has four bytes itself."""
+    """Return the next multiple of four, counted from the end of the encapsulation, which itself has four bytes."""
     return (offset + 3) // 4 * 4
 
 
@@ -115,7 +115,7 @@ def _add_text(buffer: bytearray, text: str) -> None:
 
 
 def _text(data: bytes, at: int, order: str) -> tuple[str, int]:
-    """Return a string, and where what follows it begins."""
+    """Return a string and the offset of the next field."""
     at = _aligned(at)
     (length,) = struct.unpack_from(order + "I", data, at)
     end = at + 4 + length

@@ -1,4 +1,4 @@
-"""Subscription that hands over the newest message only, and counts those that were overtaken while a callback ran."""
+"""Subscription that delivers only the newest message, and counts the messages overtaken while a callback ran."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ class NewestSubscription:
     Attributes
     ----------
     dropped
-        Messages that a newer one overtook in this process's queue. Exact with one publisher, except that messages which
-        fell out of the queue before the first overrun was noticed are not known.
+        Number of messages that a newer one overtook in the queue of this process. Exact with one publisher, except for
+        messages that fell out of the queue before the first overrun was detected.
     """
 
     def __init__(
@@ -45,13 +45,13 @@ class NewestSubscription:
         self._subscription = node.create_subscription(message_type, topic, self._on_message, qos.NEWEST, raw=raw)
 
     def end(self) -> None:
-        """Listen no more."""
+        """Cancel the subscription."""
         self._node.destroy_subscription(self._subscription)
 
     def _on_message(self, message: Any) -> None:
-        # The executor hands over the oldest of the queue; the rest is taken here. The middleware counts what a writer
-        # sent, which tells how many more fell out of a full queue; rclpy 7.1's EventsExecutor fails on callbacks that
-        # ask for this count, so it is only known for messages that are taken here.
+        # The executor delivers the oldest message of the queue; the rest is taken here. The middleware counts the
+        # messages that a writer sent, which shows how many more fell out of a full queue. rclpy 7.1's EventsExecutor
+        # fails on callbacks that request this count, so it is known only for messages that are taken here.
         drained = 0
         while (newer := self._subscription.handle.take_message(self._subscription.msg_type, self._raw)) is not None:
             message, info = newer
@@ -69,7 +69,7 @@ class NewestSubscription:
 
 
 class NewestImage(NewestSubscription):
-    """The same for images, which are not unpacked: the callback gets the newest as a ReceivedImage."""
+    """NewestSubscription for images, which are not unpacked: the callback gets the newest as a ReceivedImage."""
 
     def __init__(self, node: Node, topic: str, callback: Callable[[ReceivedImage], None]) -> None:
         super().__init__(node, Image, topic, lambda data: callback(image_of_bytes(data)), raw=True)

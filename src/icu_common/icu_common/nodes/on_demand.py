@@ -1,6 +1,6 @@
-"""Inputs that a node takes only while another program reads its results.
+"""Inputs that a node subscribes to only while another program reads its results.
 
-Taking a colour image of 1280x720 costs a reader 3 ms of a processor and the camera 1 ms, whatever is done with it.
+Receiving a colour image of 1280x720 costs the reader 3 ms of processor time and the camera 1 ms, used or not.
 """
 
 from __future__ import annotations
@@ -13,17 +13,17 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 
-from icu_common.core.config import setting
+from icu_common.core.configuration.config import setting
 
 
 def on_demand_setting(what: str = "Take images only while a program subscribes to a result") -> Any:
     """Return the setting ``on_demand`` of a node's configuration."""
     why = "a recording that is replayed in step needs the same subscriptions from its first message to its last"
-    return setting(True, f"{what}. False: always, because {why}.", read_only=True)
+    return setting(True, f"{what}; false: always, because {why}", read_only=True)
 
 
 class OnDemand:
-    """Starts and stops the inputs of a node as readers of its outputs come and go.
+    """Starts and stops the inputs of a node as readers of its outputs appear and disappear.
 
     The middleware reports each reader that is matched or lost, so nothing is polled.
 
@@ -32,7 +32,7 @@ class OnDemand:
     node
         The node that publishes.
     start, stop
-        Make the subscriptions of the inputs, and destroy them.
+        Create and destroy the subscriptions of the inputs.
     always
         Start at once and never stop.
 
@@ -50,14 +50,14 @@ class OnDemand:
         self._begun = self.running = False
 
     def publisher(self, kind: Any, topic: str, profile: QoSProfile) -> Publisher:
-        """Make the publisher of one output."""
+        """Create the publisher of one output."""
         events = PublisherEventCallbacks(matched=lambda status: self._follow())
         made = self._node.create_publisher(kind, topic, profile, event_callbacks=events)
         self._outputs.append(made)
         return made
 
     def begin(self) -> None:
-        """Follow the readers from now on; call this once everything that the inputs need is made."""
+        """Follow the readers from now on; call this after everything that the inputs need exists."""
         self._begun = True
         self._follow()
 

@@ -10,7 +10,7 @@ from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescri
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from icu_common.core.config import Config, ConfigError, ConfigItem, from_mapping, settings_of, to_mapping
+from icu_common.core.configuration.config import Config, ConfigError, ConfigItem, from_mapping, settings_of, to_mapping
 
 C = TypeVar("C", bound=Config)
 
@@ -18,18 +18,18 @@ C = TypeVar("C", bound=Config)
 class LiveParameters(Generic[C]):
     """The parameters of a node as one immutable configuration that is replaced as a whole.
 
-    A change that the configuration refuses leaves the old one in force, and its reason goes back to who asked.
+    If the configuration rejects a change, the old one stays in force, and the requester receives the reason.
 
     Parameters
     ----------
     node
         The node that gets the parameters.
     config_class
-        A frozen dataclass derived from :class:`icu_common.core.config.Config`.
+        A frozen dataclass derived from :class:`icu_common.core.configuration.config.Config`.
     on_change
         Called with the new configuration after every accepted change.
     check
-        Called with a changed configuration before it is accepted; a ConfigError refuses it.
+        Called with a changed configuration before it is accepted; a ConfigError rejects it.
     unrest
         Returns why the machine is not at rest, empty at rest: safety settings change only at rest. Required for a
         configuration with such settings.
@@ -39,7 +39,7 @@ class LiveParameters(Generic[C]):
     TypeError
         If the configuration has safety settings and there is no ``unrest``.
     ConfigError
-        If a parameter file has a key that the configuration does not know, or a value that it refuses.
+        If a parameter file has an unknown key or a value that the configuration rejects.
     """
 
     def __init__(
@@ -97,7 +97,7 @@ class LiveParameters(Generic[C]):
 
 
 def _refuse_unknown(node: Node, items: dict[str, ConfigItem]) -> None:
-    # Overrides are what the parameter file and the command line gave; a misspelt key would be ignored without a word.
+    # Overrides come from parameter file and command line; without this check a misspelt key would be silently ignored.
     given = set(node._parameter_overrides)
     allowed = set(items) | {"use_sim_time", "start_type_description_service"}
     unknown = sorted(name for name in given - allowed if not name.startswith("qos_overrides."))

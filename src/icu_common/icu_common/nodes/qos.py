@@ -1,4 +1,4 @@
-"""The QoS profiles of the graph (REP-2003); nowhere else is a profile written down."""
+"""The QoS profiles of the graph (REP-2003); no other module defines one."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 from icu_common.adapters.transport_profile import is_users_own, keeps_to_this_host, sockets_hold_pictures
 
 ARRIVES_WHOLE = keeps_to_this_host() and sockets_hold_pictures() and not is_users_own()
-"""Whether what a best-effort reader gets arrives complete: on this host, by sockets whose buffers hold an image."""
+"""Whether messages to best-effort readers arrive complete: on this host, by sockets whose buffers hold an image."""
 _AS_SENT = ReliabilityPolicy.BEST_EFFORT if ARRIVES_WHOLE else ReliabilityPolicy.RELIABLE
-"""Of readers of pictures: what arrives whole need not be asked for again, and readers that do hang after a kill
-(docs/decisions/transport.md)."""
+"""Reliability of image readers: complete messages need no retransmission, and readers that request it can hang after a
+kill (docs/decisions/transport.md)."""
 
 IMAGES = QoSProfile(
     depth=5,
@@ -19,19 +19,19 @@ IMAGES = QoSProfile(
     reliability=ReliabilityPolicy.RELIABLE,
     durability=DurabilityPolicy.VOLATILE,
 )
-"""Publisher of pictures: reliable, so that both reliable and best-effort readers match; see docs/decisions."""
+"""Publisher of images: reliable, so that both reliable and best-effort readers match; see docs/decisions."""
 
 SENSOR = QoSProfile(depth=5, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.BEST_EFFORT)
 """Small periodic values of which only the newest counts."""
 
 NEWEST = QoSProfile(depth=2, history=HistoryPolicy.KEEP_LAST, reliability=_AS_SENT)
-"""Reader that works on the newest picture only, see icu_common.nodes.newest: two, so that an overrun is noticed."""
+"""Reader of the newest image only, see icu_common.nodes.newest: the depth of two makes an overrun detectable."""
 
 PICTURES = QoSProfile(depth=5, history=HistoryPolicy.KEEP_LAST, reliability=_AS_SENT)
-"""Reader of all pictures, and of what belongs to each of them."""
+"""Reader of all images, and of the messages that belong to each image."""
 
 RESULTS = QoSProfile(depth=10, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.RELIABLE)
-"""Results and streams of which none should be lost."""
+"""Results and streams without losses."""
 
 LATCHED = QoSProfile(
     depth=1,
@@ -47,7 +47,7 @@ EACH_LATCHED = QoSProfile(
     reliability=ReliabilityPolicy.RELIABLE,
     durability=DurabilityPolicy.TRANSIENT_LOCAL,
 )
-"""Reader of a latched state that acts on each change, be it held up meanwhile: a stop that was reset since is one."""
+"""Reader of a latched state that must process each change even when it is late, such as a stop that was since reset."""
 
 COMMAND = QoSProfile(
     depth=10,
@@ -56,7 +56,7 @@ COMMAND = QoSProfile(
     durability=DurabilityPolicy.VOLATILE,
     lifespan=Duration(seconds=1),
 )
-"""What moves the machine: never late, never twice. Commands older than a second die on the way.
+"""Commands that move the machine: never late, never twice. The middleware drops commands older than a second.
 
-Of several that come at once the first is obeyed and the others are refused; at a depth of one the last drove the others
-out, and nobody answered them."""
+Of several simultaneous commands the first is obeyed and the others are rejected. With a depth of one, the last replaced
+the others, and they got no answer."""

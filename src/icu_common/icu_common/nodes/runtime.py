@@ -1,7 +1,7 @@
-"""How a process of the graph starts and ends: transport profile, executor, signals, a safe way out.
+"""Start and end of a process of the graph: transport profile, executor, signals, safe exit.
 
-Fast DDS's defaults lose pictures, so a profile is set before rclpy starts: sockets alone where the system allows
-buffers for pictures, else shared memory with a segment that is large enough; see docs/decisions/transport.md.
+Fast DDS's defaults lose images, so a profile is set before rclpy starts. It uses sockets alone if the system allows
+buffers for images, otherwise shared memory with a large enough segment; see docs/decisions/transport.md.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
 from icu_common.adapters.memory import keep_large_blocks
-from icu_common.adapters.program_end import end_signals, ends_quietly, help_text
-from icu_common.adapters.sign_of_life import SignsOfLife
+from icu_common.adapters.processes.program_end import end_signals, ends_quietly, help_text
+from icu_common.adapters.processes.sign_of_life import SignsOfLife
 from icu_common.adapters.transport_profile import (
     PROFILE_VARIABLE,
     RANGE_VARIABLE,
@@ -37,35 +37,35 @@ from icu_common.adapters.transport_profile import (
     profiles_folder,
     sockets_hold_pictures,
 )
-from icu_common.core.config import ConfigError
-from icu_common.core.supervision import AFTER_CRASH_VARIABLE, DEAF, READY_VARIABLE
+from icu_common.core.configuration.config import ConfigError
+from icu_common.core.processes.supervision import AFTER_CRASH_VARIABLE, DEAF, READY_VARIABLE
 from icu_common.nodes.graph_node import GraphLifecycleNode, GraphNode, this_process
 from icu_common.nodes.hearing import Hearing
 from icu_common.nodes.timers import runs_by_clock_topic
 
 TEARDOWN_S = 4.0
-"""Maximum seconds to destroy closed nodes and shut rclpy down; then the process prints where it hangs, and ends.
+"""Maximum seconds to destroy closed nodes and shut rclpy down; then the process prints where it hangs and ends.
 
 Fast DDS's threads can wait for each other while other participants leave (docs/decisions/processes.md).
 """
 
 
 def prepare_transport(shared_memory: bool = True) -> None:
-    """Choose the transport profile, loopback alone, and a malloc that keeps picture-sized blocks.
+    """Choose the transport profile, loopback alone, and a malloc that keeps image-sized blocks.
 
-    What the user has set in the environment stays. Another discovery range than LOCALHOST, named peers or a discovery
+    Settings of the user in the environment stay. Another discovery range than LOCALHOST, named peers or a discovery
     server open the network; see docs/decisions/several-machines.md.
 
     Parameters
     ----------
     shared_memory
-        False for a program that must not wait for another one: see docs/decisions/transport.md. Else it is used where
-        the buffers of sockets are too small for pictures.
+        False for a program that must not wait for another one: see docs/decisions/transport.md. Otherwise it is used if
+        the buffers of sockets are too small for images.
 
     Raises
     ------
     SystemExit
-        With code 2 and one line, if the environment names a domain or a peer that there cannot be.
+        With code 2 and one line, if the environment names an invalid domain or peer.
     """
     try:
         check_environment()
@@ -78,17 +78,17 @@ def prepare_transport(shared_memory: bool = True) -> None:
     name = "fastdds_" + "local_" * local + "sockets_" * (not shared_memory) + "profile.xml"
     if not is_users_own():
         os.environ[PROFILE_VARIABLE] = str(profiles_folder() / name)
-        if local and not shared_memory:  # for LOCALHOST rmw adds shared memory; the profile keeps to the loopback
+        if local and not shared_memory:  # for LOCALHOST rmw adds shared memory; the profile uses the loopback
             os.environ[RANGE_VARIABLE] = "SYSTEM_DEFAULT"
     keep_large_blocks()
 
 
 _CHECK_S = 0.1
-"""Minimum interval between two checks of a process: what its publishers have found, and whether it gets messages."""
+"""Minimum interval between two checks of a process: its publishers' matches, and whether it receives messages."""
 
 
 class Session:
-    """rclpy between its start and its end: an executor, and whether a signal to end has come."""
+    """rclpy between its start and its end: an executor, and whether a signal to end has arrived."""
 
     def __init__(self) -> None:
         self.executor = EventsExecutor()
@@ -102,16 +102,16 @@ class Session:
 
     @property
     def goes_on(self) -> bool:
-        """False once the process is to end."""
+        """False after a request to end the process."""
         return rclpy.ok() and not self.stopping
 
     def spin(self, timeout_s: float = 0.1) -> bool:
-        """Serve what is due; EventsExecutor.spin() does not see signals, short turns do.
+        """Serve due callbacks in a short turn, as EventsExecutor.spin() does not react to signals.
 
         Returns
         -------
         bool
-            Whether a check that costs more than serving a callback is due: ten times a second.
+            Whether the costly checks are due, which run ten times a second.
         """
         self.executor.spin_once(timeout_sec=timeout_s)
         now_s = time.monotonic()
@@ -122,21 +122,21 @@ class Session:
         return due
 
     def close(self, node: Node) -> None:
-        """Close a node, if it can be closed; meanwhile no callback is served."""
+        """Close a node that has ``close``; no callback is served meanwhile."""
         if this_process.ledger is not None:
             this_process.ledger.leave()
         if hasattr(node, "close"):
             node.close()
 
     def end(self, node: Node) -> None:
-        """Close a node, if it can be closed, and destroy it."""
+        """Close a node that has ``close``, and destroy it."""
         self.close(node)
         node.destroy_node()
 
 
 @contextlib.contextmanager
 def interruptible() -> Iterator[None]:
-    """Let a signal to end leave a long computation in a node's constructor, which starts no thread."""
+    """Allow a signal to end a long computation in a node's constructor, which starts no thread."""
     before = {number: signal.getsignal(number) for number in end_signals()}
 
     def leave(number: int, frame: FrameType | None) -> None:
@@ -153,16 +153,16 @@ def interruptible() -> Iterator[None]:
 
 @contextlib.contextmanager
 def _readable() -> Iterator[None]:
-    """Raise a ConfigError for what rcl cannot read of the arguments and parameter files, with rcl's reason."""
+    """Raise a ConfigError with rcl's reason for arguments and parameter files that rcl cannot read."""
     try:
         yield
-    except RuntimeError as error:  # as rclpy's own errors are, which it does not export
+    except RuntimeError as error:  # the base of rclpy's own errors, which it does not export
         if type(error).__name__ == "UnknownROSArgsError":
             raise ConfigError(f"unknown ROS arguments: {error}") from error
         if "Couldn't parse" not in str(error):
             raise
         raise ConfigError(str(error)) from error
-    except UnicodeEncodeError as error:  # of an argument in another encoding
+    except UnicodeEncodeError as error:  # from an argument in another encoding
         raise ConfigError(f"{error.object!r} is no UTF-8") from error
 
 
@@ -188,7 +188,7 @@ def start_rclpy(arguments: Sequence[str] | None) -> None:
     Raises
     ------
     SystemExit
-        With code 2 and one line, if there can be no file for the log.
+        With code 2 and one line, if the log file cannot be created.
     """
     try:
         rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
@@ -255,7 +255,7 @@ While it runs, `ros2 param list` names its parameters and `ros2 param describe N
 
 
 def run_together(programs: Sequence[tuple[Callable[[], int], Sequence[str]]]) -> int:
-    """Run the nodes of several programs in this process, by one executor.
+    """Run the nodes of several programs in this process with one executor.
 
     Parameters
     ----------
@@ -277,7 +277,7 @@ def run_together(programs: Sequence[tuple[Callable[[], int], Sequence[str]]]) ->
 
 
 def _run(makers: Sequence[Callable[..., Node]], arguments: Sequence[str] | None, shared_memory: bool = True) -> int:
-    faulthandler.enable()  # bring-up aborts what hangs: its output then tells where that was
+    faulthandler.enable()  # bring-up aborts a hanging program: its output then shows where
     try:
         with ros_session(arguments, shared_memory) as session:
             return _spin(session, makers)
@@ -289,7 +289,7 @@ def _run(makers: Sequence[Callable[..., Node]], arguments: Sequence[str] | None,
 
 
 def _hearing() -> Hearing | None:
-    """Return what watches the process's hearing, where somebody is there to start it anew."""
+    """Return the watch on received messages, None if no program would restart this one."""
     after_crash = bool(os.environ.pop(AFTER_CRASH_VARIABLE, ""))
     if not (after_crash or READY_VARIABLE in os.environ):
         return None
@@ -299,7 +299,7 @@ def _hearing() -> Hearing | None:
 
 
 def _seconds_heard_in(node: Node) -> float:
-    """Return a time that passes only while the others can be heard: by simulated time they may all be waiting."""
+    """Return a time that advances only while others can send: in simulated time they may all be waiting."""
     ledger = this_process.ledger
     return time.monotonic() if ledger is None or not runs_by_clock_topic(node) else ledger.time_ns / 1e9
 
@@ -322,7 +322,7 @@ def _spin(session: Session, makers: Sequence[Callable[..., Node]]) -> int:
                 print(f"error: {what}: ending, to be started anew", file=sys.stderr)
                 for node in nodes:
                     session.close(node)
-                os._exit(DEAF)  # taking the nodes apart would wait for the middleware's threads, as those do
+                os._exit(DEAF)  # destroying the nodes would wait for the middleware's threads, which hang
     finally:
         for node in nodes:
             session.close(node)

@@ -1,4 +1,4 @@
-"""Timers and clocks of a node: steady ones, or those of the time on ``/clock``."""
+"""Timers and clocks of a node: of the steady clock, or of the time on ``/clock``."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ def runs_by_clock_topic(node: Node) -> bool:
 def every(node: Node, period_s: float, callback: Callable[[], object], *, wall: bool = False) -> None:
     """Call back every ``period_s`` of the steady clock, or with ``use_sim_time`` of the time on ``/clock``.
 
-    rclpy's own choice, ROS time, is the system's: a timer of it stands still for as long as that was set back.
+    rclpy's default, ROS time, is the system time: if that is set back, its timers pause for the same duration.
 
     Parameters
     ----------
     node, period_s, callback
-        The node that owns the timer, its period, and what is called.
+        The node that owns the timer, its period, and the function to call.
     wall
-        Keep to the steady clock in any case: for what guards people or programs.
+        Always use the steady clock: for timers that guard people or programs.
     """
     if not wall and runs_by_clock_topic(node):
         if isinstance(node, GraphNode):
@@ -41,7 +41,7 @@ def every(node: Node, period_s: float, callback: Callable[[], object], *, wall: 
 def seconds_of(node: Node) -> Callable[[], float]:
     """Return the clock by which a node measures its waits, in seconds.
 
-    It is the steady clock, which no one sets, or with ``use_sim_time`` the time on ``/clock``.
+    It is the steady clock, which cannot be set, or with ``use_sim_time`` the time on ``/clock``.
     """
     if not runs_by_clock_topic(node):
         return time.monotonic

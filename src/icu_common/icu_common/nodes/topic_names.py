@@ -11,7 +11,7 @@ from rclpy.validate_topic_name import validate_topic_name
 
 
 def check_names(topics: Iterable[str]) -> None:
-    """Raise ``ValueError`` for the first that cannot be a topic's name."""
+    """Raise ``ValueError`` for the first name that no topic can have."""
     for name in topics:
         try:
             validate_topic_name(name)

@@ -1,1 +1,1 @@
-"""What touches the world; no rclpy."""
+"""Access to processes, files and sockets; no rclpy."""

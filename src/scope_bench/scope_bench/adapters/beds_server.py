@@ -1,4 +1,4 @@
-"""A page on this host that shows several robots and can order nothing: pictures, states, links to their own pages."""
+"""A page on this host that shows several robots and sends no orders: pictures, states, links to their own pages."""
 
 from __future__ import annotations
 
@@ -56,16 +56,16 @@ _POLICY = (
 
 
 class BedsServer:
-    """Serves the page in threads of its own, on loopback alone, below an address that cannot be guessed.
+    """Serves the page in its own threads, on loopback only, below an address that cannot be guessed.
 
     Parameters
     ----------
     port
-        0: one that is free.
+        TCP port; 0 chooses a free one.
     links
-        For each bed the address of its own page, or nothing.
+        Address of each bed's own page, or an empty text.
     whats
-        Names of the states that are shown.
+        Names of the displayed states.
     state
         Returns for each bed ``{"states": {...}, "age_s": seconds or None}``.
     picture
@@ -116,7 +116,7 @@ class BedsServer:
                 self.wfile.write(data)
 
             def log_message(self, format: str, *arguments: object) -> None:
-                """Keep the terminal for what matters."""
+                """Print no requests on the terminal."""
 
         self._server = ThreadingHTTPServer(("127.0.0.1", port), Handler)
         self._server.daemon_threads = True

@@ -1,4 +1,4 @@
-"""Where the configuration is: the graph's table, parameters, cameras and layouts."""
+"""Folder of the configuration: the graph's table, parameters, cameras and layouts."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from pathlib import Path
 
 
 def configuration_folder() -> Path:
-    """Return the folder with graph.yaml: $ICU_CONFIG, else :func:`true_configuration` of what was installed.
+    """Return the folder with graph.yaml: $ICU_CONFIG, or :func:`true_configuration` of the installed folder.
 
     Raises
     ------
     FileNotFoundError
-        If there is none, or not where $ICU_CONFIG says.
+        If there is none, or $ICU_CONFIG has none.
     """
     if named := os.environ.get("ICU_CONFIG"):
         if not Path(named, "graph.yaml").is_file():
@@ -32,9 +32,9 @@ def configuration_folder() -> Path:
 
 
 def true_configuration(installed: Path) -> Path:
-    """Return the folder to which the link of an installed graph.yaml leads, else that folder itself.
+    """Return the folder to which the link of an installed graph.yaml leads, or the installed folder itself.
 
-    ``colcon build --symlink-install`` links each file alone: calibrations, layouts and what is taught would be missing
+    ``colcon build --symlink-install`` links each file alone: calibrations and taught layouts would be missing
     in the installed folder until the next build, or lost with it.
     """
     return (installed / "graph.yaml").resolve().parent

@@ -1,4 +1,4 @@
-"""What bring-up checks on this computer before it starts anything: the page's port and the space on disk."""
+"""Checks of this computer before bring-up starts programs: the page's port and the disk space."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import socket
 from pathlib import Path
 
 from scope_bench.adapters.graph_names import hold
-from scope_bench.core.graph_description import GraphError
+from scope_bench.core.startup.graph_description import GraphError
 
 NEEDED_BYTES = 64 * 1024 * 1024
 """Free space for the log, the audit file and a calibration; recordings check for themselves."""
@@ -17,7 +17,7 @@ _OTHER_PORTS = 50
 
 
 def check_space(folder: Path) -> None:
-    """Raise an error where the disk of a folder is full.
+    """Raise an error if the disk of a folder is full.
 
     Raises
     ------
@@ -46,7 +46,7 @@ def is_free(host: str, port: int) -> bool:
 
 
 def free_port(host: str, port: int, *, may_choose: bool) -> int:
-    """Return the port, or the next free one, and hold it against other bring-ups until this process ends.
+    """Return the port, or the next free one, and reserve it against other bring-ups until this process ends.
 
     Raises
     ------

@@ -1,7 +1,7 @@
-"""Starts Python programs as forks of one process that has already imported what they share.
+"""Starts Python programs as forks of one process that has already imported their common modules.
 
-Importing numpy, rclpy and numba takes most of a program's start, and fourteen programs do it at the same time. The
-server imports each module once, and each program starts from what is there. See docs/decisions/start-up.md.
+Importing numpy, rclpy and numba takes most of a program's start time, and fourteen programs do it at the same time. The
+server imports each module once, and each program starts with these modules. See docs/decisions/start-up.md.
 
 The server forks twice: the program's direct parent exits at once, and the kernel gives the program to bring-up, which
 is the nearest child subreaper (prctl(2)). So bring-up waits for it, signals it and restarts it as any other child.
@@ -30,12 +30,12 @@ from typing import IO, Any
 
 _PR_SET_PDEATHSIG, _PR_SET_NAME, _PR_SET_CHILD_SUBREAPER = 1, 15, 36
 _TITLE_BYTES = 8192
-"""Room for a program's command line, which ``ps`` and ``pkill -f`` read."""
+"""Bytes reserved for a program's command line, which ``ps`` and ``pkill -f`` read."""
 _MESSAGE_BYTES = 65536
 _ARG_START, _ARG_END = 45, 46
-"""Fields of /proc/self/stat after the name (proc(5)): where the command line lies in memory."""
+"""Fields of /proc/self/stat after the name (proc(5)): memory addresses of the command line."""
 _LEAVE_S = 1.0
-"""Seconds for the server to leave a fork that it has begun."""
+"""Maximum seconds for the server to finish a fork."""
 
 
 def die_with_parent() -> None:
@@ -86,7 +86,7 @@ class ForkServer:
     Parameters
     ----------
     environment
-        Of the server, and of each program.
+        Environment of the server and of each program.
     """
 
     def __init__(self, environment: Mapping[str, str]) -> None:
@@ -119,7 +119,7 @@ class ForkServer:
 
     @property
     def runs(self) -> bool:
-        """Whether it takes requests."""
+        """Whether the server accepts requests."""
         return self._open and self._process.poll() is None
 
     def start(
@@ -148,7 +148,7 @@ class ForkServer:
         return process
 
     def _send(self) -> None:
-        """Send what the socket takes: a system may allow ten unread requests, and the server is importing."""
+        """Send as much as the socket takes: a system may allow ten unread requests, and the server is importing."""
         while self._open and self._unsent:
             data, fds = self._unsent[0]
             try:
@@ -162,7 +162,7 @@ class ForkServer:
                 os.close(fd)
 
     def receive(self) -> bool:
-        """Take the answers that have come; return False when the server has gone and none can come."""
+        """Process the received answers; return False if the server has ended and no answer can follow."""
         self._send()
         while self._open:
             try:
@@ -179,7 +179,7 @@ class ForkServer:
         return False
 
     def stop(self) -> None:
-        """End the server; what it has not forked will not start, what it has is known."""
+        """End the server; programs that it has not forked do not start, and those that it has forked are known."""
         self._process.terminate()
         try:
             self._process.wait(_LEAVE_S)
@@ -210,20 +210,20 @@ def serve(link: socket.socket, bring_up: int) -> list[str] | None:
     Parameters
     ----------
     link
-        Where requests come from.
+        Socket of the requests.
     bring_up
         Process number of bring-up, which becomes each program's parent.
 
     Returns
     -------
     list of str, or None
-        In the fork: the command to run. In the server: None, when bring-up has gone.
+        In the fork: the command to run. In the server: None, after bring-up has ended.
     """
     while (request := _next(link)) is not None:
         _preload(request.command)
         gc.collect()
         gc.freeze()  # a collection in a program would write to, and so copy, every page with objects
-        # SIGTERM must not end the server between the fork and its answer: bring-up would not know the program.
+        # SIGTERM must not end the server between the fork and its answer: bring-up would have no record of the program.
         signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGTERM])
         answered, answering = os.pipe()
         middle = os.fork()
@@ -255,9 +255,9 @@ def _next(link: socket.socket) -> _Request | None:
 
 
 def _preload(command: Sequence[str]) -> None:
-    """Import the module of a script PREFIX/lib/PACKAGE/EXECUTABLE, and let it load what it keeps compiled.
+    """Import the module of a script PREFIX/lib/PACKAGE/EXECUTABLE, which loads its compiled code.
 
-    What cannot be imported here cannot be imported by the program either, which reports it.
+    The program reports a failed import itself, as it fails there as well.
     """
     script = Path(command[0])
     with contextlib.suppress(Exception):
@@ -272,12 +272,12 @@ def _become(request: _Request, link: socket.socket, bring_up: int, answering: in
     middle = os.getpid()
     if os.fork():
         os._exit(0)
-    # The kernel gives a process's children away before its descriptor becomes readable.
+    # The kernel reassigns a process's children before its descriptor becomes readable.
     ended = os.pidfd_open(middle)
     select.select([ended], [], [])
     os.close(ended)
     die_with_parent()
-    if os.getppid() != bring_up:  # it has ended meanwhile
+    if os.getppid() != bring_up:  # bring-up has ended meanwhile
         os._exit(1)
     link.send(json.dumps([request.number, os.getpid()]).encode())
     link.close()
@@ -311,8 +311,8 @@ def _set_title(command: Sequence[str]) -> None:
 def run_script(command: list[str]) -> None:
     """Run a Python script in this process as if the interpreter had been started with it.
 
-    One that fails ends at once. Its half-made node still has threads of the middleware, which can crash while the
-    interpreter is taken down; bring-up would then see a signal in place of the exit code, and restart the program.
+    A script that fails ends at once. Its half-made node still has threads of the middleware, which can crash while the
+    interpreter shuts down; bring-up would then get a signal instead of the exit code, and restart the program.
     """
     sys.argv = list(command)
     try:

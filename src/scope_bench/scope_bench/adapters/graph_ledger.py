@@ -1,4 +1,4 @@
-"""The ledger of steps of a graph: made before its programs start, found by those that are added to it."""
+"""Step ledger of a graph: created before its programs start, and found by programs that are added later."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-from icu_common.adapters.step_ledger import StepLedger, ledger_path
+from icu_common.adapters.steps.step_ledger import StepLedger, ledger_path
 
 
 def path_of_graph(namespace: str) -> Path:
-    """Return where the ledger of the graph in this environment's ROS domain is."""
+    """Return the path of the ledger of the graph in this environment's ROS domain."""
     return ledger_path(os.environ.get("ROS_DOMAIN_ID", ""), namespace)
 
 

@@ -1,4 +1,4 @@
-"""Keeps a second whole graph from the same topics and services: its orders would reach the first one's machine, too."""
+"""Prevents a second graph with the same topics and services: its orders would also reach the first graph's machine."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ import errno
 import os
 import socket
 
-from scope_bench.core.graph_description import GraphError
+from scope_bench.core.startup.graph_description import GraphError
 
 _LONGEST_NAME = 100
-"""Bytes of a Unix socket's name, of 108."""
+"""Maximum length in bytes of a Unix socket's name; the system's limit is 108."""
 OTHER_DOMAINS = range(1, 33)
 """ROS domains for simulated graphs after the first one: above 101 their ports may be taken by outgoing connections."""
 
@@ -18,7 +18,7 @@ def hold(name: str) -> bool:
     """Hold a name until this process ends; return False if another process holds it."""
     holder = socket.socket(socket.AF_UNIX)
     try:
-        # An abstract name: it is the network namespace's own, as domains and ports are, and ends with the process.
+        # An abstract name belongs to the network namespace, as domains and ports do, and ends with the process.
         holder.bind(f"\0icu_gantry/{name}".encode()[:_LONGEST_NAME])
     except OSError as error:
         holder.close()
@@ -27,6 +27,18 @@ def hold(name: str) -> bool:
         return False
     holder.detach()  # it stays open until the process ends
     return True
+
+
+def is_held(name: str) -> bool:
+    """Return whether a process holds a name."""
+    with socket.socket(socket.AF_UNIX) as probe:
+        try:
+            probe.bind(f"\0icu_gantry/{name}".encode()[:_LONGEST_NAME])
+        except OSError as error:
+            if error.errno != errno.EADDRINUSE:
+                raise
+            return True
+    return False
 
 
 def hold_names(namespace: str) -> None:
@@ -51,7 +63,7 @@ def hold_another_domain(namespace: str) -> str:
     Raises
     ------
     GraphError
-        If they are held in all of them.
+        If other processes hold the names in all of these domains.
     """
     for domain in OTHER_DOMAINS:
         if hold(f"{domain}/{namespace.strip('/')}"):

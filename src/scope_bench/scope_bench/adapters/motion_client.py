@@ -1,4 +1,4 @@
-"""Reads the mock board's motor positions from its Unix socket, and connects again when the board has gone."""
+"""Reads the mock board's motor positions from its Unix socket, and reconnects when the board has ended."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from typing import Any
 
 MAX_LINE_BYTES = 65536
 STEP_ANSWER_S = 10.0
-"""Wall seconds within which a stepped board answers."""
+"""Maximum wall seconds for the answer of a stepped board."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MotorSample:
-    """One line: true positions in mm, tool pins, and when by the monotonic clock, in seconds."""
+    """One line: true positions in mm, tool pins, and time by the monotonic clock in seconds."""
 
     time_s: float
     mpos_mm: tuple[float, float, float]
@@ -31,7 +31,7 @@ def parse_sample(line: bytes) -> MotorSample:
     Raises
     ------
     ValueError
-        If something is missing or of the wrong kind.
+        If a value is missing or has the wrong type.
     """
     document: Any = json.loads(line)
     try:
@@ -54,12 +54,16 @@ class MotionClient:
         self.path = path
         self.socket: socket.socket | None = None
         self.bad_lines = 0
+        self.probe_closed = False
+        """The board's probe input as this client has set it; a board forgets it with the connection."""
+        self.board_s = 0.0
+        """Time that the board has reached, by its newest sample."""
         self.sent = self.received = 0
         """Bytes that the board's serial port has sent and received, as of the newest step."""
         self._buffer = b""
 
     def connect(self) -> bool:
-        """Try once; tell whether the board answers."""
+        """Try once; return whether the board answers."""
         link = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         try:
             # A Unix socket connects at once or not at all.
@@ -68,11 +72,21 @@ class MotionClient:
         except OSError:
             link.close()
             return False
-        self.socket, self._buffer = link, b""
+        self.socket, self._buffer, self.probe_closed = link, b"", False
         return True
 
+    def set_probe(self, closed: bool) -> None:
+        """Connect the board's probe input to ground or open it; ``socket`` is then None if the board has ended."""
+        if self.socket is None or closed == self.probe_closed:
+            return
+        try:
+            self.socket.sendall(json.dumps({"probe": closed}).encode() + b"\n")
+            self.probe_closed = closed
+        except OSError:
+            self.close()
+
     def read(self) -> list[MotorSample]:
-        """Return the samples that have come; afterwards ``socket`` is None if the board has gone."""
+        """Return the received samples; ``socket`` is then None if the board has ended."""
         data = b""
         try:
             data = self.socket.recv(1 << 20) if self.socket is not None else b""
@@ -93,9 +107,9 @@ class MotionClient:
         return samples
 
     def advance(self, until_s: float, within_s: float = STEP_ANSWER_S) -> list[MotorSample]:
-        """Let a stepped board run until ``until_s``, and return the samples on the way there.
+        """Run a stepped board until ``until_s``, and return the samples up to then.
 
-        Afterwards ``socket`` is None if the board has gone, or has not answered within ``within_s``.
+        Afterwards ``socket`` is None if the board has ended, or has not answered within ``within_s``.
         """
         if self.socket is None:
             return []
@@ -122,7 +136,9 @@ class MotionClient:
 
     def _parsed(self, line: bytes) -> list[MotorSample]:
         try:
-            return [parse_sample(line)]
+            sample = parse_sample(line)
+            self.board_s = sample.time_s
+            return [sample]
         except ValueError:
             self.bad_lines += 1
             return []

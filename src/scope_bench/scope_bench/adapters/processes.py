@@ -1,4 +1,4 @@
-"""Starts the programs of the graph, watches them, restarts what fell over, and ends the simulated hardware last."""
+"""Starts and watches the programs of the graph, restarts failed ones, and ends the simulated hardware last."""
 
 from __future__ import annotations
 
@@ -13,19 +13,22 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TypeAlias
 
-from icu_common.core.supervision import AFTER_CRASH_VARIABLE, DEAF, READY_VARIABLE, SIGN_OF_LIFE_S
+from icu_common.adapters.real_time import DRIVER, ask_for_real_time
+from icu_common.core.processes.supervision import AFTER_CRASH_VARIABLE, DEAF, READY_VARIABLE, SIGN_OF_LIFE_S
 from scope_bench.adapters.fork_server import ForkedProcess, ForkServer, die_with_parent, is_forkable
 
 _LONGEST_TURN_S = 1.0
-"""No more silence is counted between two looks: bring-up may have stood still itself."""
+"""Maximum silence in seconds counted between two checks: bring-up itself may have been suspended."""
 _LAST_READS = 64
-"""So often the pipe of a program that has ended, which holds as much as one or two reads, is read at most."""
+"""Maximum number of reads from the pipe of an ended program; the pipe holds as much as one or two reads."""
 _STARVED_SHARE = 0.5
-"""Share of its silence for which a thread waited for a core: from here on the program is late, and does not hang."""
+"""Minimum share of its silence for which a thread waited for a core; the program is then late and does not hang."""
 _STARVED_FACTOR = 4.0
-"""Factor up to which such a program may be silent for longer; what spins in a loop waits for a core as well."""
+"""Factor by which such a program may be silent longer; a program in an endless loop waits for a core as well."""
+_DELAY_S = 0.5
+"""Seconds between a program's second end within the window and its restart; doubles with each further end."""
 _ABORT_S = 5.0
-"""For what hangs to tell where (Python's faulthandler) and to end, before it is killed."""
+"""Seconds for a hanging program to print where it hangs (Python's faulthandler) and end, before it is killed."""
 
 _LADDER = ((signal.SIGINT, 0.7), (signal.SIGTERM, 0.2), (signal.SIGABRT, 0.05), (signal.SIGKILL, 0.05))
 """Signals at the end, each with its share of the time. SIGABRT lets a node print where it hangs (faulthandler)."""
@@ -35,7 +38,7 @@ Process: TypeAlias = subprocess.Popen[bytes] | ForkedProcess
 
 @dataclass(slots=True, kw_only=True)
 class Watched:
-    """One program, its process, and what is known of its restarts."""
+    """One program, its process, and the state of its restarts."""
 
     name: str
     command: list[str]
@@ -47,6 +50,10 @@ class Watched:
     once: bool = False
     ends_last: bool = False
     tells_ready: bool = False
+    rescue: list[str] = field(default_factory=list)
+    """Command to start when a signal has ended the program."""
+    rescues: bool = False
+    """Whether it is such a command."""
     crashed: bool = False
     life_pipe: int | None = None
     ready: bool = False
@@ -60,17 +67,17 @@ class Watched:
 
     @property
     def starting(self) -> bool:
-        """Whether it could say that it is ready and has not done so."""
+        """Whether the program reports when it is ready and has not done so yet."""
         return self.life_pipe is not None and not self.ready
 
 
 _SIGNAL, _DEBUGGER = "T", "t"
 _STOPPED_S = 15.0
-"""Longest time for which a signal may stop a program; its last state would stay on its topics as if it were true."""
+"""Maximum seconds for which a signal may stop a program; its last state would stay on its topics as if valid."""
 
 
 def _stopped_by(pid: int) -> str:
-    """Return what has stopped a process, _SIGNAL or _DEBUGGER (proc(5)), "" for nothing."""
+    """Return what has stopped a process, _SIGNAL or _DEBUGGER (proc(5)), "" if it is not stopped."""
     with contextlib.suppress(OSError):
         state = Path(f"/proc/{pid}/stat").read_text(errors="replace").rpartition(")")[2].split()[0]
         return state if state in (_SIGNAL, _DEBUGGER) else ""
@@ -86,26 +93,32 @@ def _waits_for_core(pid: int) -> dict[str, float]:
     return found
 
 
+def _begin_rescue() -> None:
+    """Prepare the process of a rescue: it must not wait for busy programs, even while its interpreter starts."""
+    die_with_parent()
+    ask_for_real_time(DRIVER)
+
+
 class ProcessGroup:
     """The processes of one graph.
 
     Parameters
     ----------
     environment
-        Of every process.
+        Environment of every process.
     on_output
         Called with (program, line) for every line that a program prints.
     on_event
         Called with (program, text) when a program ends, is restarted or given up.
     restarts
-        How often a program may be restarted within ``window_s``; the delay doubles from half a second.
+        Maximum number of restarts of a program within ``window_s``; the delay doubles from half a second.
     ready_s
-        A restarted program that could say that it is ready, and does not within this time, is aborted: shared
-        memory that its predecessor held when it was killed can hang it. A first start may take as long as it needs.
+        Maximum seconds until a restarted program reports that it is ready; otherwise it is aborted: it can hang in
+        shared memory that its killed predecessor held. A first start may take any time.
     silent_s
-        A program that was ready and gives no sign of life for this time is aborted, so that it tells where it is, and
-        killed if that does not end it; time for which a signal or a debugger has stopped it does not count, but a
-        signal may stop it for _STOPPED_S only.
+        Maximum seconds without a sign of life of a program that was ready. It is then aborted, so that it prints where
+        it hangs, and killed if that does not end it. Time for which a signal or a debugger has stopped it does not
+        count, but a signal may stop it for only _STOPPED_S.
     forks
         Server that starts the programs that report when they are ready; without it they are executed.
     """
@@ -138,17 +151,29 @@ class ProcessGroup:
             os.set_blocking(forks.stdout.fileno(), False)
             self._selector.register(forks.stdout, selectors.EVENT_READ, Watched(name="starter", command=[]))
 
-    def start(self, name: str, command: list[str], *, ends_last: bool = False, tells_ready: bool = False) -> None:
-        """Start a program; one that ``ends_last`` is ended when all others are gone.
+    def start(
+        self,
+        name: str,
+        command: list[str],
+        *,
+        ends_last: bool = False,
+        tells_ready: bool = False,
+        rescue: list[str] | None = None,
+    ) -> None:
+        """Start a program; one that ``ends_last`` is ended after all others.
 
-        One that ``tells_ready`` writes a byte to the file descriptor ``ICU_READY_FD`` when it is, and then each second.
+        One that ``tells_ready`` writes a byte to the file descriptor ``ICU_READY_FD`` when ready, then each second.
+        When a signal has ended the program, ``rescue`` is started before it is restarted: a command that ends by itself
+        if there is nothing to rescue.
 
         Raises
         ------
         OSError
             If the executable cannot be started.
         """
-        self._start(Watched(name=name, command=command, ends_last=ends_last, tells_ready=tells_ready))
+        self._start(
+            Watched(name=name, command=command, ends_last=ends_last, tells_ready=tells_ready, rescue=rescue or [])
+        )
 
     def start_once(self, name: str, command: list[str]) -> None:
         """Start a program that ends by itself and is not restarted; it replaces an ended one of the same name."""
@@ -173,8 +198,8 @@ class ProcessGroup:
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.STDOUT,
-                start_new_session=True,  # the terminal's Ctrl-C reaches bring-up alone, which ends the others in order
-                preexec_fn=die_with_parent,
+                start_new_session=True,  # the terminal's Ctrl-C reaches only bring-up, which ends the others in order
+                preexec_fn=_begin_rescue if watched.rescues else die_with_parent,
             )
         if ready:
             os.close(ready[1])
@@ -189,7 +214,7 @@ class ProcessGroup:
         self._selector.register(watched.process.stdout, selectors.EVENT_READ, watched)
 
     def watch(self, timeout_s: float) -> None:
-        """Pass on output and restart what has ended, for at most ``timeout_s``."""
+        """Forward output and restart ended programs, for at most ``timeout_s``."""
         for key, _ in self._selector.select(timeout_s):
             self._read(key)
         self._reap_orphans()
@@ -207,27 +232,27 @@ class ProcessGroup:
                 self._launch(watched)
 
     def _reap_orphans(self) -> None:
-        """Take the exit codes of what killed programs have left behind: bring-up is its parent then (subreaper)."""
+        """Collect the exit codes of children of killed programs: bring-up is then their parent (subreaper)."""
         known = {w.process.pid for w in self._programs if w.process is not None}
         if self._forks is None or 0 in known:  # 0: the server has not yet reported a program's number
             return
         known.add(self._forks.pid)
         with contextlib.suppress(ChildProcessError):
             while (ended := os.waitid(os.P_ALL, 0, os.WEXITED | os.WNOHANG | os.WNOWAIT)) is not None:
-                if ended.si_pid in known:  # its own look takes this one
+                if ended.si_pid in known:  # its own check collects this one
                     return
                 os.waitpid(ended.si_pid, os.WNOHANG)
 
     def running(self) -> dict[str, int]:
-        """Return the names and process numbers of what runs."""
+        """Return the names and process numbers of the running programs."""
         return {w.name: w.process.pid for w in self._programs if w.process is not None and w.process.poll() is None}
 
     def ready_count(self) -> int:
-        """Return how many programs are ready, or run where they do not report it."""
+        """Return how many programs are ready, or running if they do not report it."""
         return sum(
             w.ready if w.tells_ready else w.process is not None and w.process.poll() is None
             for w in self._programs
-            if not w.once
+            if not (w.once or w.rescues)
         )
 
     @property
@@ -251,7 +276,7 @@ class ProcessGroup:
 
     def _look_for_life(self, watched: Watched, pipe: int, process: Process, now: float, turn_s: float) -> None:
         with contextlib.suppress(BlockingIOError):
-            if not os.read(pipe, 4096):  # it has closed the pipe, or ended
+            if not os.read(pipe, 4096):  # the program has closed the pipe or ended
                 self._close_pipe(watched)
             watched.ready, watched.silence_s, watched.stopped_s = True, 0.0, 0.0
             watched.waited, watched.reported_late = {}, False
@@ -302,19 +327,38 @@ class ProcessGroup:
         recent = [t for t in watched.starts if now - t < self._window_s]
         watched.crashed = code < 0
         why = f"signal {signal.Signals(-code).name}" if code < 0 else f"exit code {code}"
-        if watched.once:
+        if watched.crashed and watched.rescue:
+            self._start_rescue(watched)
+        if watched.rescues and not watched.crashed:
+            self._programs.remove(watched)
+        elif watched.once:
             self._on_event(watched.name, f"ended with {why}" if code else "done")
         elif code == 2:  # a wrong configuration stays wrong
             watched.gave_up = watched.misconfigured = True
             self._on_event(watched.name, f"ended with {why} and is not restarted: mend its configuration")
         elif len(recent) > self._restarts:
             watched.gave_up = True
+            if watched.rescues:  # the next end of its program starts it again
+                self._programs.remove(watched)
             self._on_event(watched.name, f"ended with {why}, {len(recent)} times in {self._window_s:g} s: given up")
         else:
-            delay = 0.5 * 2 ** max(len(recent) - 1, 0)
+            # The first restart is immediate: a killed driver may have left its stylus on the panel.
+            delay = _DELAY_S * 2 ** (len(recent) - 2) if len(recent) > 1 else 0.0
             watched.restart_at = now + delay
             what = "does not hear the others" if code == DEAF else f"ended with {why}"
-            self._on_event(watched.name, f"{what}, restarted in {delay:g} s")
+            self._on_event(watched.name, f"{what}, restarted {f'in {delay:g} s' if delay else 'at once'}")
+
+    def _start_rescue(self, watched: Watched) -> None:
+        """Start the program's rescue, unless one runs; a rescue that waits for its restart is restarted now."""
+        name = f"rescue of {watched.name}"
+        if found := next((w for w in self._programs if w.rescues and w.name == name), None):
+            if found.restart_at is not None:
+                found.restart_at = time.monotonic()
+            return
+        try:
+            self._start(Watched(name=name, command=watched.rescue, rescues=True))
+        except OSError as error:
+            self._on_event(name, f"cannot be started: {error}")
 
     def _read(self, key: selectors.SelectorKey) -> None:
         assert not isinstance(key.fileobj, int)
@@ -334,11 +378,11 @@ class ProcessGroup:
     def stop(self, within_s: float = 20.0) -> list[str]:
         """End everything: interrupt, and after a while terminate, abort and kill.
 
-        What is still starting is terminated at once: there a KeyboardInterrupt prints a traceback, or ends in a
-        callback of an import, which swallows it.
+        A program that is still starting is terminated at once: a KeyboardInterrupt would print a traceback, or be lost
+        in a callback of an import.
 
-        First all but those that end last, so that a driver can hold its machine and lift the stylus while the board
-        still answers; then those.
+        The order is: other programs, rescues, programs that end last. So a driver can hold its machine and lift the
+        stylus while the board still answers.
 
         Returns
         -------
@@ -350,8 +394,8 @@ class ProcessGroup:
         if self._forks is not None:
             self._forks.stop()
         killed: list[str] = []
-        for last in (False, True):
-            killed += self._end([w for w in self._programs if w.process is not None and w.ends_last is last], within_s)
+        for stage in (lambda w: not (w.ends_last or w.rescues), lambda w: w.rescues, lambda w: w.ends_last):
+            killed += self._end([w for w in self._programs if w.process is not None and stage(w)], within_s)
         for watched in self._programs:
             self._close_pipe(watched)
         self._read_rest()
@@ -359,7 +403,7 @@ class ProcessGroup:
         return killed
 
     def _read_rest(self) -> None:
-        """Pass on the last words, and close the pipes, which what a program has left behind may still hold."""
+        """Forward the last output, and close the pipes, which children of a program may still hold."""
         for _ in range(_LAST_READS):
             for key, _ in self._selector.select(0.0):
                 self._read(key)

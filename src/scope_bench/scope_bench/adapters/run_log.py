@@ -1,4 +1,4 @@
-"""The log file of bring-up: everything that the programs print, one file for each run, the oldest ones removed."""
+"""Log file of bring-up: all output of the programs, one file for each run; the oldest files are removed."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ class RunLog:
     Parameters
     ----------
     folder
-        Made if it does not exist.
+        Folder of the log; created if it does not exist.
     max_bytes
-        Maximum size of a file; then the next one is begun.
+        Maximum size of a file, after which a new file starts.
 
     Raises
     ------
     OSError
-        If there can be no file.
+        If the file cannot be created.
     """
 
     def __init__(self, folder: Path, max_bytes: int = MAX_BYTES) -> None:
@@ -41,7 +41,7 @@ class RunLog:
             for older, newer in zip(names[:0:-1], names[-2::-1]):
                 if newer.exists():
                     newer.replace(older)
-        # The log has the page's one-time sign-in, which is for this user alone.
+        # The log contains the page's one-time sign-in, which is only for this user.
         descriptor = os.open(self.path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600)
         self._file, self._size = os.fdopen(descriptor, "wb", buffering=0), 0
 

@@ -1,6 +1,6 @@
-"""What bring-up prints: on a terminal messages above one block at the bottom, elsewhere plain lines; all to the log.
+"""Output of bring-up: on a terminal messages above one block at the bottom, elsewhere plain lines; all goes to the log.
 
-A thread of its own writes, so that a terminal that takes no output (Control-S) delays no program.
+A separate thread writes, so that a terminal that takes no output (Control-S) delays no program.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ from queue import SimpleQueue
 from typing import TypeAlias
 
 from scope_bench.adapters.run_log import RunLog
-from scope_bench.core.run_words import Status
-from scope_bench.core.terminal_layout import Box, box_rows, height, moving_line, redraw
+from scope_bench.core.startup.run_words import Status
+from scope_bench.core.startup.terminal_layout import Box, box_rows, height, moving_line, redraw
 
 FLUSH_TIMEOUT_S = 1.0
-"""Maximum seconds at the end for what is still to be printed."""
+"""Maximum seconds at the end to print the remaining output."""
 _PLAIN_INTERVAL_S = 10.0
 """Seconds between two lines of progress of one step where there is no terminal."""
 
@@ -38,12 +38,12 @@ class Screen:
     Parameters
     ----------
     log
-        Where everything goes.
+        Log that receives all output.
     terminal
         False for plain lines without control codes.
     on_broken
-        Called by the printing thread when standard output takes nothing any more: with an empty text when its reader
-        has gone, else with the reason.
+        Called by the printing thread when standard output can no longer be written: with an empty text if its reader
+        has ended, otherwise with the reason.
     """
 
     def __init__(self, log: RunLog | None, *, terminal: bool, on_broken: Callable[[str], None]) -> None:
@@ -73,7 +73,7 @@ class Screen:
         self._items.put(lambda: self._status(status))
 
     def box(self, box: Box) -> None:
-        """Keep a box at the bottom of a terminal; elsewhere nothing."""
+        """Keep a box at the bottom of a terminal; no effect elsewhere."""
         self._items.put(lambda: self._show(box))
 
     def clear(self) -> None:
@@ -81,11 +81,11 @@ class Screen:
         self._items.put(lambda: self._show(None))
 
     def typed(self, newlines: int) -> None:
-        """Note that the terminal has echoed what a person typed, which has moved its cursor down."""
+        """Account for typed text that the terminal has echoed, which has moved its cursor down."""
         self._items.put(lambda: self._typed(newlines))
 
     def end(self) -> None:
-        """Print what is left, for at most a second."""
+        """Print the remaining output, for at most a second."""
         self._items.put(None)
         self._thread.join(FLUSH_TIMEOUT_S)
 

@@ -1,4 +1,4 @@
-"""Runs the bench in a thread of its own: motor samples in, stereo pairs out, the truth to the log and to tests."""
+"""Runs the bench in its own thread: motor samples in, stereo pairs out, ground truth to the log and to tests."""
 
 from __future__ import annotations
 
@@ -17,20 +17,23 @@ from typing import Any, ClassVar, TextIO
 import numpy as np
 
 from icu_common.adapters.frame_link import FRAMES, FrameServer
-from icu_common.adapters.step_gate import PATIENCE_S
-from icu_common.adapters.step_ledger import StepLedger
+from icu_common.adapters.steps.step_gate import PATIENCE_S
+from icu_common.adapters.steps.step_ledger import StepLedger
 from icu_common.adapters.unix_listener import listen_at
-from icu_common.core.config import from_mapping, to_mapping
-from icu_common.core.geometry import Transform
-from icu_common.core.panel_layout import PanelLayout
-from scope_bench.adapters.motion_client import MotionClient
+from icu_common.core.configuration.config import from_mapping, to_mapping
+from icu_common.core.geometry.geometry import Transform
+from icu_common.core.panel.panel_layout import PanelLayout
+from scope_bench.adapters.motion_client import MotionClient, MotorSample
 from scope_bench.adapters.step_time import StepTime
 from scope_bench.core.bench import Bench, matrix
 from scope_bench.core.configuration import BenchConfig
 from scope_bench.core.renderer import Renderer
+from scope_bench.core.touch import check_keys
+from scope_bench.imaging.rig import CameraShift
+from scope_bench.imaging.stream import CameraStream
 
 EXPOSURE_LAG_S = 0.015
-"""The exposure lies so far back that the motor samples around it have come."""
+"""Seconds by which the exposure is in the past, so that the motor samples around it have arrived."""
 RECONNECT_S = 0.25
 SEND_S = 0.03
 STEP_LOOK_MIN_S, STEP_LOOK_MAX_S = 0.0005, 0.004
@@ -38,7 +41,9 @@ STEP_LOOK_MIN_S, STEP_LOOK_MAX_S = 0.0005, 0.004
 _LOOK_SHARE = 0.2
 """Interval between two checks as a share of the time waited so far."""
 BUSY_S = 0.3
-"""Simulated time after a motion or an order in which steps stay short: one order follows another."""
+"""Simulated seconds after a motion or an order in which steps stay short: one order follows another."""
+PROBE_STEP_S = 0.005
+"""Simulated time between two samples near the panel while the stylus has a switch."""
 _POLL_BYTES = 2
 """Bytes of status requests in a step; an order has more, with its line end."""
 _STATES_AT_REST = ("Idle", "Alarm", "Sleep")
@@ -47,7 +52,7 @@ CAMERA_STATES = ("ok", "frozen", "unplugged")
 
 @dataclasses.dataclass(frozen=True, slots=True, kw_only=True)
 class Health:
-    """What the simulation tells the diagnostics."""
+    """Values of the simulation for the diagnostics."""
 
     board_connected: bool
     frames_sent: int
@@ -69,14 +74,14 @@ class Simulation:
     config
         The bench, with the paths of its sockets and of the truth log.
     steps
-        The simulated clock; None for real time.
+        Simulated clock; None for real time.
     ledger
-        Where the images of a stepped bench are counted; None for real time.
+        Ledger that counts the images of a stepped bench; None for real time.
 
     Raises
     ------
     OSError
-        If a socket or the log cannot be made.
+        If a socket or the log cannot be created.
     ValueError
         If the configuration does not fit together.
     """
@@ -93,6 +98,7 @@ class Simulation:
         self._steps, self._ledger = steps, ledger
         self._bench = Bench(layout, config)
         self._renderer = Renderer(layout, config, self._bench.panel_from)
+        self._stream = CameraStream()
         self._camera = "ok"
         self._frames: FrameServer | None = None
         self._sent = 0
@@ -132,7 +138,7 @@ class Simulation:
             self._log = log.open("a", encoding="utf-8")
 
     def start(self) -> None:
-        """Begin."""
+        """Start the thread."""
         self._thread.start()
 
     def stop(self) -> None:
@@ -142,8 +148,12 @@ class Simulation:
         if self._thread.is_alive():
             self._thread.join(10.0)
 
+    def check(self, config: BenchConfig) -> None:
+        """Raise :class:`ConfigError` if a configuration does not fit the panel; from any thread."""
+        check_keys(config.keys, self._layout)
+
     def configure(self, config: BenchConfig) -> None:
-        """Take another configuration; from any thread."""
+        """Apply another configuration; from any thread."""
         self._jobs.append(config)
         self._wake()
 
@@ -177,7 +187,7 @@ class Simulation:
             else:
                 self._run_in_steps(self._steps)
         except Exception as error:
-            # The node's diagnostics say it; a thread that dies silently would look like a frozen camera.
+            # The node's diagnostics report it; a thread that dies silently would look like a frozen camera.
             self._error = f"the bench has stopped: {error!r}"
             raise
         finally:
@@ -211,7 +221,7 @@ class Simulation:
             while not self._stopping and (wait_s := steps.wait_s()) > 0:
                 self._serve(wait_s)
             steps.advance(next_frame_ns, long=not self._busy(steps.now_s))
-            # Timers and goals of this step come before what the board and the cameras make of it.
+            # Timers and goals of this step come before the reaction of the board and the cameras.
             self._serve_until(steps.settled)
             self._follow_board(steps.now_s)
             self._bench.advance(steps.now_s)
@@ -226,39 +236,51 @@ class Simulation:
             self._write_log()
 
     def _serve(self, timeout_s: float) -> None:
-        """Answer the sockets, for at most ``timeout_s``, and take new configurations."""
+        """Answer the sockets, for at most ``timeout_s``, and apply new configurations."""
         for key, _ in self._selector.select(max(timeout_s, 0.0)):
             key.data()
         while self._jobs:
             self._reconfigure(self._jobs.popleft())
 
     def _serve_until(self, condition: Callable[[], bool]) -> None:
-        """Serve until the condition holds, or the bench is to stop; what it waits for has limits of its own."""
+        """Serve until the condition holds, or the bench must stop; the condition has its own time limits."""
         begin_s = time.monotonic()
         while not self._stopping and not condition():
             waited_s = time.monotonic() - begin_s
             self._serve(min(max(_LOOK_SHARE * waited_s, STEP_LOOK_MIN_S), STEP_LOOK_MAX_S))
 
     def _follow_board(self, until_s: float) -> None:
-        """Let the board run to a time, and take the motion on the way there."""
+        """Run the board to a time, and process its motion up to then."""
         motion = self._motion
         if motion is None or motion.socket is None:
             return
         link, received = motion.socket, motion.received
-        samples = motion.advance(until_s)
+        rests = True
+        while motion.socket is not None:
+            # A switch in the stylus acts on the board while it moves, so near the panel a step has parts.
+            part_s = min(motion.board_s + PROBE_STEP_S, until_s) if self._bench.switch_is_near() else until_s
+            samples = motion.advance(max(part_s, motion.board_s))
+            rests = rests and all(sample.state in _STATES_AT_REST for sample in samples)
+            self._feed(motion, samples)
+            if part_s >= until_s or not samples:
+                break
         if motion.socket is None:
             self._selector.unregister(link)
-        if motion.received - received > _POLL_BYTES or any(sample.state not in _STATES_AT_REST for sample in samples):
+        if motion.received - received > _POLL_BYTES or not rests:
             self._busy_until_s = until_s + BUSY_S
+
+    def _feed(self, motion: MotionClient, samples: list[MotorSample]) -> None:
+        """Process motor samples, and set the board's probe input to the resulting state of the stylus switch."""
         for sample in samples:
             self._bench.feed(sample.mpos_mm, sample.spindle, sample.coolant, sample.time_s)
+        motion.set_probe(self._bench.switch_closed)
 
     def _busy(self, now_s: float) -> bool:
-        """Whether the machine moves, or has just had an order: board and driver then need short steps."""
+        """Whether the machine moves or has just received an order: board and driver then need short steps."""
         return now_s < self._busy_until_s
 
     def _board_settled(self, steps: StepTime) -> bool:
-        """Whether board, driver and graph have dealt with all that was sent in this step."""
+        """Whether board, driver and graph have processed everything sent in this step."""
         motion = self._motion
         if not steps.settled():
             return False
@@ -281,11 +303,9 @@ class Simulation:
         if motion is None or motion.socket is None:
             return
         link = motion.socket
-        samples = motion.read()
+        self._feed(motion, motion.read())
         if motion.socket is None:
             self._selector.unregister(link)
-        for sample in samples:
-            self._bench.feed(sample.mpos_mm, sample.spindle, sample.coolant, sample.time_s)
 
     def _expose(self, exposure_s: float, stamp_ns: int) -> None:
         begin_s = time.monotonic()
@@ -293,10 +313,14 @@ class Simulation:
         self._readers = frames.reader_count() if frames is not None else 0
         if frames is None or not self._readers or self._camera != "ok":
             return
-        pictures = self._renderer.render(self._bench.moment(exposure_s))
+        self._renderer.follow_panel(self._bench.panel_from)
+        images = self._stream.take(self._config, self._bench, self._renderer, exposure_s)
+        if not images:  # both cameras lost their images
+            return
         if self._ledger is not None:
             self._ledger.expect(FRAMES, min(self._readers, self._ledger.subscriptions(FRAMES)))
-        frames.send(pictures, stamp_ns)
+        stamps_ns = [stamp_ns - round((exposure_s - image.stamp_s) * 1e9) for image in images]
+        frames.send([image.picture for image in images], stamps_ns, [image.camera for image in images])
         deadline = time.monotonic() + SEND_S
         while not frames.flush() and (left := deadline - time.monotonic()) > 0:
             frames.wait_writable(left)
@@ -304,12 +328,15 @@ class Simulation:
         self._render_s = time.monotonic() - begin_s
 
     def _reconfigure(self, config: BenchConfig) -> None:
-        old, self._config = self._config, config
         self._bench.reconfigure(config)
-        if config.camera != old.camera or config.stylus != old.stylus:
+        old, self._config = self._config, config
+        rebuilt = config.camera != old.camera or config.manufacture != old.manufacture
+        if rebuilt or config.stylus.still() != old.stylus.still():
             self._renderer = Renderer(self._layout, config, self._bench.panel_from)
             self._renderer.hide(self._hidden)
             return
+        if config.imaging != old.imaging:
+            self._renderer.reimage(config)
         if config.light != old.light:
             self._renderer.relight(config.light)
         if config.panel != old.panel:
@@ -360,7 +387,7 @@ class Simulation:
             del self._clients[client]
 
     def _answer(self, line: bytes) -> dict[str, Any]:
-        self._write_log()  # who reads the truth finds the log as far as that
+        self._write_log()  # the log is then complete up to this truth
         try:
             request = json.loads(line)
             if not isinstance(request, dict) or request.get("do") not in self._COMMANDS:
@@ -370,6 +397,7 @@ class Simulation:
             return {"ok": False, "error": str(error) if isinstance(error, ValueError) else repr(error)}
 
     def _do_truth(self, request: dict[str, Any]) -> dict[str, Any]:
+        self._renderer.settle(time.monotonic() - EXPOSURE_LAG_S if self._steps is None else self._steps.now_s)
         rig = self._renderer.rig
         truth = self._bench.truth()
         camera_from_base = rig.rectified_left_from_base()
@@ -406,6 +434,13 @@ class Simulation:
         self._bench.move_panel(dx, dy, turn)
         self._renderer.move_panel(self._bench.panel_from)
 
+    def _do_knock(self, request: dict[str, Any]) -> None:
+        x, y, z = (float(v) for v in request.get("turn_deg", (0.0, 0.0, 0.0)))
+        u, v = (float(v) for v in request.get("lens_px", (0.0, 0.0)))
+        if max(abs(x), abs(y), abs(z)) > 5 or max(abs(u), abs(v)) > 100:
+            raise ValueError(f"turn_deg {x, y, z}, lens_px {u, v}: limit 5 degrees and 100 px")
+        self._renderer.knock(str(request["camera"]), CameraShift(turn_deg=(x, y, z), lens_px=(u, v)))
+
     def _do_camera(self, request: dict[str, Any]) -> None:
         state = request["state"]
         if state not in CAMERA_STATES:
@@ -421,6 +456,7 @@ class Simulation:
         "set": _do_set,
         "hide": _do_hide,
         "move_panel": _do_move_panel,
+        "knock": _do_knock,
         "camera": _do_camera,
     }
 

@@ -1,4 +1,4 @@
-"""Simulated time in steps: each begins when the graph has finished the one before, at most at real speed."""
+"""Simulated time in steps: each step begins after the graph has finished the previous one, at most at real speed."""
 
 from __future__ import annotations
 
@@ -6,23 +6,23 @@ import time
 from collections import deque
 from collections.abc import Callable
 
-from icu_common.adapters.step_gate import Laggard, StepGate
-from icu_common.adapters.step_ledger import BYTES_READ, BYTES_WRITTEN, StepLedger
+from icu_common.adapters.steps.step_gate import Laggard, StepGate
+from icu_common.adapters.steps.step_ledger import BYTES_READ, BYTES_WRITTEN, StepLedger
 
 CATCH_UP_S = 0.1
-"""Wall time that a late step may make up for; a longer delay makes the simulation slower."""
+"""Wall seconds of delay that later steps may make up for; a longer delay makes the simulation slower."""
 FACTOR_WINDOW_S = 3.0
-"""Wall time over which the simulation factor is measured."""
+"""Wall seconds over which the simulation factor is measured."""
 SERIAL_PATIENCE_S = 0.3
-"""Wall time after which bytes count as discarded that neither end of the serial line takes: a port was opened or
+"""Wall seconds after which bytes that neither end of the serial line takes count as discarded: a port was opened or
 closed."""
 
 
 class StepTime:
     """The simulated clock.
 
-    It begins at the ledger's time, which bring-up sets to the system's so that stamps stay legible, and goes on from
-    there when the bench has been restarted. It never overtakes the system's time.
+    It begins at the ledger's time, which bring-up sets to the system time so that stamps stay readable. After a restart
+    of the bench it continues from there. It never overtakes the system time.
 
     Parameters
     ----------
@@ -51,11 +51,11 @@ class StepTime:
         return (self.now_ns - self.start_ns) / 1e9
 
     def wait_s(self) -> float:
-        """Return for how many wall seconds the next step must not begin yet."""
+        """Return the wall seconds until the next step may begin."""
         return max(self._begin_s - time.monotonic(), 0.0)
 
     def advance(self, until_ns: int, *, long: bool = False) -> None:
-        """Begin the next step, which ends at ``until_ns`` or earlier; only a long one may be longer than the step."""
+        """Begin the next step, which ends at ``until_ns`` or earlier; only with ``long`` may it exceed ``step_ns``."""
         now_s = time.monotonic()
         step_ns = until_ns - self.now_ns if long else min(self._step_ns, until_ns - self.now_ns)
         self._begin_s = max(self._begin_s, now_s - CATCH_UP_S) + step_ns / 1e9
@@ -99,7 +99,7 @@ class StepTime:
         return self._gate.left_behind
 
     def factor(self) -> float:
-        """Return simulated over wall time of the last seconds; 1 is real time."""
+        """Return the ratio of simulated to wall time over the last seconds; 1 is real time."""
         (begin_s, begin_ns), now_s = self._history[0], time.monotonic()
-        # A step may begin a little before its predecessors' delay has been made up for.
+        # A step may begin slightly before the delay of its predecessors has been made up for.
         return min((self._history[-1][1] - begin_ns) / 1e9 / max(now_s - begin_s, 1e-3), 1.0)

@@ -27,19 +27,20 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
-from icu_common.adapters.program_end import end_signals, ends_quietly
-from icu_common.core.option_bounds import check_bounds, named_path
-from scope_bench.adapters.bag_pictures import IMAGE
-from scope_bench.adapters.bags import BagError, BagReader
+from icu_common.adapters.processes.program_end import end_signals, ends_quietly
+from icu_common.core.configuration.option_bounds import check_bounds, named_path
+from scope_bench.adapters.bag.bag_pictures import IMAGE
+from scope_bench.adapters.bag.bags import BagError, BagReader
+from scope_bench.adapters.bag.ros1 import is_ros1
 from scope_bench.adapters.check.messages import read_messages, write_expected
 from scope_bench.adapters.check.pictures import draw
-from scope_bench.adapters.check.prepared_bag import converted, is_ros1, played_topics, prepared
+from scope_bench.adapters.check.prepared_bag import converted, played_topics, prepared
 from scope_bench.adapters.check.replay import PROFILE, Replay, ReplayError, Topics, free_domain
 from scope_bench.adapters.configuration_folder import configuration_folder
 from scope_bench.core.check.comparison import Row, TopicMessages, compare, new_topic, unknown_fields
 from scope_bench.core.check.expectation import Expectation, Run, from_yaml, to_yaml
 from scope_bench.core.check.report import as_json, junit, junit_error, markdown, table, verdict
-from scope_bench.core.graph_description import GraphError, load_graph
+from scope_bench.core.startup.graph_description import GraphError, load_graph
 from scope_bench.nodes.graph_topics import types_of
 
 AS_EXPECTED, DIFFERENT, COULD_NOT_RUN = 0, 1, 2
@@ -50,7 +51,7 @@ _MOST_ROWS = 30
 
 
 class CheckError(Exception):
-    """The check could not run; the text says why, and what can be done."""
+    """The check could not run; the text states the reason and a remedy."""
 
 
 def parser() -> argparse.ArgumentParser:
@@ -232,9 +233,10 @@ class Check:
     def _replay(self, job: Job, run: Run, folder: Path, compared: Sequence[str]) -> Path:
         """Replay the bag with a new graph; return the bag with the results."""
         bag = self._prepared(job, run, folder.parent)
-        with BagReader(bag) as reader:  # before anything is started
+        with BagReader(bag) as reader:  # before any program is started
             if not reader.count:
                 raise CheckError("the bag has no messages")
+            whole_s = min(reader.duration_ns / 1e9, run.duration_s or math.inf)
         count, left_out = self._programs(run, folder)
         domain = free_domain()
         replay = Replay(folder, domain, run, count, left_out, self._config)
@@ -243,7 +245,15 @@ class Check:
             played = played_topics(bag, {*graph.read, _CUE}, graph.published, run.exclude)
             record = self._recorded(graph, compared, domain)
             print(f"{job.name}: playing {len(played)} topics to {count} nodes", flush=True)
-            return replay.play(bag, played, record, self._stop)
+            begun_s = time.monotonic()
+            done = replay.play(bag, played, record, self._stop)
+            begin_and_end_s = time.monotonic() - begun_s - done.playing_s
+            print(
+                f"{job.name}: {whole_s:.1f} s of recording played in {done.playing_s:.1f} s "
+                f"(start and end of player and recorder: {begin_and_end_s:.1f} s more)",
+                flush=True,
+            )
+            return done.results
         except ReplayError:
             shutil.copytree(
                 folder, job.out / "logs", dirs_exist_ok=True, ignore=shutil.ignore_patterns("run", "*.mcap")
@@ -281,7 +291,7 @@ def _read_expectation(file: Path) -> Expectation:
 
 
 def _merged(settings: Sequence[str], given: Sequence[str]) -> tuple[str, ...]:
-    """Return settings with those of the command line; of one parameter the last value counts."""
+    """Return settings with those of the command line; the last value of a parameter applies."""
     return tuple({text.partition("=")[0]: text for text in (*settings, *given)}.values())
 
 
@@ -313,7 +323,7 @@ def _jobs(options: argparse.Namespace) -> list[Job]:
     out = options.out or Path("bag_check")
     jobs = []
     for bag in options.bags:
-        # Its expectation stands for a bag: bags/*.expect.yaml are all that can be checked.
+        # An expectation stands for its bag: bags/*.expect.yaml selects all bags that can be checked.
         bag = bag.with_name(bag.name.removesuffix(EXPECTATION)).resolve()
         expect = options.expect or bag.with_name(bag.name + EXPECTATION)
         jobs.append(Job(bag=bag, expect=expect.resolve(), out=(out if len(options.bags) == 1 else out / bag.name)))

@@ -7,9 +7,9 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from icu_common.adapters.program_end import ends_quietly
-from icu_common.core.option_bounds import check_bounds, named_path
-from scope_bench.adapters.bags import BagError, BagReader
+from icu_common.adapters.processes.program_end import ends_quietly
+from icu_common.core.configuration.option_bounds import check_bounds, named_path
+from scope_bench.adapters.bag.bags import BagError, BagReader
 from scope_bench.core.bag.account import INCOMPLETE
 from scope_bench.export.adapters.lerobot import Dataset
 from scope_bench.export.adapters.pictures import write_images, write_videos
@@ -69,7 +69,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _write(form: str, bag: BagReader, options: argparse.Namespace) -> tuple[str, dict[str, list[str]]]:
-    """Write one form; return what was written, and a reason for each part that was left out, by topic or task."""
+    """Write one form; return a summary, and the reasons for each omitted part by topic or task."""
     namespace: str = options.namespace
     out: Path = options.out
     if form == "parquet":

@@ -10,13 +10,14 @@ from collections.abc import Mapping, Sequence
 from datetime import datetime, timezone
 from pathlib import Path
 
-from icu_common.adapters.program_end import ends_quietly
-from icu_common.core.option_bounds import named_path
-from scope_bench.adapters.bag_repair import repair
-from scope_bench.adapters.bags import BagError, BagReader
+from icu_common.adapters.processes.program_end import ends_quietly
+from icu_common.core.configuration.option_bounds import named_path
+from scope_bench.adapters.bag.bag_repair import repair
+from scope_bench.adapters.bag.bags import BagError, BagReader
 from scope_bench.export.adapters.pictures import save_strip
-from scope_bench.export.adapters.reading import cameras, namespace_of, session_of, times_of
+from scope_bench.export.adapters.reading import cameras, namespace_of, session_of
 from scope_bench.export.core.overview import check_lines, gap_text, gaps, goal_lines
+from scope_bench.export.core.session import GOAL_TOPICS, RESULT
 
 
 def parser() -> argparse.ArgumentParser:
@@ -57,13 +58,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except BagError as error:
         print(f"error: {error}", file=sys.stderr)
         return 1
-    except BrokenPipeError:  # whoever reads this has seen enough, as head does; the end must not flush to it
+    except BrokenPipeError:  # the reader, such as head, has ended; the interpreter must not flush to it at exit
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     return 0
 
 
 def overview(bag: BagReader, namespace: str = "", picture: Path | None = None) -> str:
-    """Return the description of a bag with gaps, goals, and what a replay of it can check; save a picture strip.
+    """Return the description of a bag with gaps, goals, and the checks that its replay allows; save a picture strip.
 
     Raises
     ------
@@ -71,14 +72,14 @@ def overview(bag: BagReader, namespace: str = "", picture: Path | None = None) -
         If the bag is broken, after its description was printed, or the picture cannot be saved.
     """
     try:
-        times = times_of(bag)
-        session = session_of(bag, namespace)
+        times = bag.times()
+        session = session_of(bag, namespace, GOAL_TOPICS)
     except BagError:
         print(description(bag), flush=True)
         raise
     found = {topic: gap_text(some, bag.start_ns) for topic, at in times.items() if (some := gaps(at)) is not None}
     topics = {name.removeprefix(namespace) for name in times if name.startswith(namespace + "/")}
-    lines = [description(bag, found), *goal_lines(session.goals, bag.start_ns), *check_lines(topics)]
+    lines = [description(bag, found), *goal_lines(session.goals, bag.start_ns, RESULT in topics), *check_lines(topics)]
     if picture is not None:
         save_strip(bag, times, list(cameras(bag, namespace)), picture)
         lines.append(f"thumbnails: {picture}")
@@ -86,7 +87,7 @@ def overview(bag: BagReader, namespace: str = "", picture: Path | None = None) -
 
 
 def description(bag: BagReader, gaps_of: Mapping[str, str] | None = None) -> str:
-    """Return what is in a bag, a line for each topic, and one for the gaps of a topic."""
+    """Return the contents of a bag: a line for each topic, and one for the gaps of a topic."""
     files = [bag.path] if bag.path.is_file() else [p for p in bag.path.iterdir() if p.is_file()]
     start = datetime.fromtimestamp(bag.start_ns / 1e9, timezone.utc)
     seconds = bag.duration_ns / 1e9

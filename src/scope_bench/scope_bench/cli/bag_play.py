@@ -17,16 +17,17 @@ from collections.abc import Callable, Collection, Sequence
 
 from rclpy.qos import DurabilityPolicy
 
-from icu_common.adapters.program_end import ends_quietly
-from icu_common.adapters.step_ledger import LEDGER_VARIABLE, ledger_path
+from icu_common.adapters.processes.program_end import ends_quietly
+from icu_common.adapters.steps.step_ledger import LEDGER_VARIABLE, ledger_path
 from icu_common.adapters.terminal_keys import terminal_keys
-from icu_common.core.option_bounds import check_bounds, named_path
+from icu_common.core.configuration.option_bounds import check_bounds, named_path
 from icu_common.nodes.runtime import Session, ros_session
-from scope_bench.adapters.bag_pictures import SUFFIX
-from scope_bench.adapters.bags import BagError, BagReader, BagTopic
+from icu_common.nodes.topic_names import check_names
+from scope_bench.adapters.bag.bag_pictures import SUFFIX
+from scope_bench.adapters.bag.bags import BagError, BagReader, BagTopic
 from scope_bench.cli.progress import ProgressLine
 from scope_bench.core.bag.account import INCOMPLETE, Account
-from scope_bench.core.play_clock import PlayClock, progress_bar
+from scope_bench.core.bag.play_clock import PlayClock, progress_bar
 from scope_bench.nodes.bag_player import ASIDE, MOVING, BagPlayer
 from scope_bench.nodes.bag_qos import playing_qos
 from scope_bench.nodes.bag_types import type_problem
@@ -85,10 +86,10 @@ def chosen(bag: BagReader, options: argparse.Namespace, account: Account) -> lis
     Raises
     ------
     BagError
-        If one that was named is not in the bag, or of a type that is not installed here.
+        If a named topic is not in the bag, or its type is not installed here.
     """
     names, in_step = {topic.name for topic in bag.topics}, bool(options.in_step)
-    own = {"/clock"} if options.clock or in_step else set()  # what the player tells itself
+    own = {"/clock"} if options.clock or in_step else set()  # published by the player itself
     unknown = {*(options.topics or ()), *options.exclude, *options.allow_missing} - names
     if unknown:
         raise BagError(f"{bag.path} has no {', '.join(sorted(unknown))}; it has {', '.join(sorted(names))}")
@@ -101,7 +102,7 @@ def chosen(bag: BagReader, options: argparse.Namespace, account: Account) -> lis
     ]
     playable: dict[str, BagTopic] = {}
     for topic in wanted:
-        problem = type_problem(bag, topic)
+        problem = _name_problem(topic.name) or type_problem(bag, topic)
         if topic.name in playable:
             problem = f"type {topic.type} differs from {playable[topic.name].type}: a topic is played with one type"
         if not problem:
@@ -117,16 +118,25 @@ def chosen(bag: BagReader, options: argparse.Namespace, account: Account) -> lis
     return list(playable.values())
 
 
+def _name_problem(name: str) -> str:
+    """Return why no publisher can have a name, "" if one can: converted bags of ROS 1 have names with ``-``."""
+    try:
+        check_names([name])
+    except ValueError as error:
+        return str(error).partition(": ")[2]
+    return ""
+
+
 _STAMP_ENDS = 12
-"""A message with a header begins with four bytes of CDR and its stamp."""
+"""End of the stamp in a message with a header, after four bytes of CDR."""
 _LOOKED_AT = 30
-"""So many messages from the first: a recorder hears one of two topics a little later."""
+"""Number of first messages to compare: a recorder may receive one of two topics slightly later."""
 
 
 def recorded_twice(bag: BagReader, names: Collection[str]) -> set[str]:
-    """Return the topics of which the same pictures, by their stamps, are in the bag compressed as well.
+    """Return the topics whose images, by their stamps, are also compressed in the bag.
 
-    So they come from image_transport. Of ours each is there once: compressed, or as it was if it cannot be.
+    These come from image_transport. This project's recorder keeps each image once: compressed, or raw if that fails.
     """
 
     def stamps(name: str) -> set[bytes]:
@@ -140,8 +150,7 @@ _DRIVER = "gantry/driver_state"
 _FIRST_SUBSCRIBER_S, _QUIET_S = 5.0, 0.5
 """Longest wait for a first subscriber, and seconds without a new one before playback starts."""
 _DRIVER_FOUND_S, _LOOK_S = 1.0, 0.5
-"""So long is looked for a driver at work before anything is played, and so often later: programs find each other only
-after a while."""
+"""Seconds to search for a running driver before playback, and between later checks: discovery takes time."""
 
 
 class Playing:
@@ -181,7 +190,7 @@ class Playing:
             else:
                 self._wait_for_subscribers()
             while self._session.goes_on:
-                self._begin(paused=self._clock.paused)  # as somebody may have wanted it meanwhile
+                self._begin(paused=self._clock.paused)  # a user may have paused meanwhile
                 before = self.played
                 self._play_latched()
                 whole = self._play_once()
@@ -190,7 +199,7 @@ class Playing:
                 if not self._options.loop:
                     break
                 if self.played == before:
-                    self._serve(0.05, self._start_ns)  # a loop around nothing must not take all there is
+                    self._serve(0.05, self._start_ns)  # an empty loop must not use a whole core
             self._node.settle()
         finally:
             self._line.end()
@@ -218,17 +227,17 @@ class Playing:
                 any(matched)
                 and (quiet_s := now_s - changed_s) >= max(_QUIET_S, changed_s - begun_s)
                 and (
-                    not self._node.unmatched or quiet_s >= _FIRST_SUBSCRIBER_S  # one of another QoS is never matched
+                    not self._node.unmatched or quiet_s >= _FIRST_SUBSCRIBER_S  # an incompatible QoS never matches
                 )
             ):
                 return
 
     def _refuse_beside_a_machine(self) -> None:
-        """A controller would take recorded pictures, places and calibrations for those of the machine that it moves."""
+        """Reject playback next to a controller: it would treat recorded data as that of the machine that it moves."""
         if self._options.moving:
             return
         recorded = [topic.name for topic in self._bag.topics if topic.name.endswith(_DRIVER)]
-        # Where no driver's state was recorded, it may be that of any robot whose topics these could be.
+        # Without a recorded driver state, the topics may belong to any robot that has topics of these names.
         for state in recorded or sorted({str(place / _DRIVER) for place in self._node.places}):
             if found := self._node.others(state):
                 raise BagError(
@@ -289,7 +298,7 @@ class Playing:
             self._node.show_time(bag_ns)
         for _ in range(self._keys().count(" ")):
             self._toggle()
-        # Where messages are late, as in step with others, the clock is ahead of what has been played.
+        # If messages are late, as in step with others, the clock is ahead of playback.
         done_s, whole_s = (min(bag_ns, newest_ns) - self._bag.start_ns) / 1e9, self._bag.duration_ns / 1e9
         state = "  paused" if self._clock.paused else ""
         bar = progress_bar(done_s / whole_s if whole_s else 1.0)
@@ -300,7 +309,7 @@ class Playing:
 
 
 def _namespace(arguments: Sequence[str]) -> str:
-    """Return the namespace that ROS arguments give, as ``-r __ns:=/bed_1``."""
+    """Return the namespace in ROS arguments such as ``-r __ns:=/bed_1``."""
     return next((text.removeprefix("__ns:=") for text in arguments if text.startswith("__ns:=")), "")
 
 

@@ -12,24 +12,24 @@ from collections.abc import Iterable, Sequence
 from datetime import datetime
 from pathlib import Path
 
-from icu_common.adapters.program_end import ends_quietly
-from icu_common.core.option_bounds import check_bounds, named_path
+from icu_common.adapters.processes.program_end import ends_quietly
+from icu_common.core.configuration.option_bounds import check_bounds, named_path
 from icu_common.nodes.runtime import Session, ros_session
 from icu_common.nodes.topic_names import check_names
-from scope_bench.adapters.bag_pictures import PictureCodec
-from scope_bench.adapters.bag_sink import BagSink
-from scope_bench.adapters.bags import STORAGES, BagError, BagWriter
+from scope_bench.adapters.bag.bag_pictures import PictureCodec
+from scope_bench.adapters.bag.bag_sink import BagSink
+from scope_bench.adapters.bag.bags import STORAGES, BagError, BagWriter
 from scope_bench.cli.progress import ProgressLine
 from scope_bench.core.bag.account import INCOMPLETE, Account
 from scope_bench.nodes.bag_recorder import BagRecorder
 
 _BEHIND_S = 5.0
-"""So long the end waits at most for what has come before it."""
+"""Maximum seconds at the end to take the messages that arrived before it."""
 _QUALITY = 85
 _NICENESS = 10
-"""Whoever is recorded comes first."""
+"""Nice value of the recorder: the recorded programs have priority."""
 _FOUND_S = 10.0
-"""So long at most is waited for topics to be found before it is said that they are recorded."""
+"""Maximum seconds to wait for topics to be found before the recorder reports that it records them."""
 
 
 def parser() -> argparse.ArgumentParser:
@@ -89,7 +89,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         _check_pattern(options.exclude)
         keep_free = round(options.keep_free * 1e6)
         codec = _codec(options)
-        if arguments is None:  # a program of its own, and all threads that it will have
+        if arguments is None:  # a separate program: applies to all threads that it will start
             os.nice(_NICENESS)
         with ros_session(given[split:]) as session:
             sink = BagSink(lambda: _writer(path, options, keep_free), codec, rates_hz=_absolute(options.max_rate))
@@ -101,7 +101,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except (BagError, ValueError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
-    if not _orphaned(options):  # else nobody reads it
+    if not _orphaned(options):  # otherwise the output has no reader
         for topic, count in sink.dropped_by_topic.items():
             account.miss(topic, "received, and dropped because the disk or the processor was too slow", count)
         for line in account.lines():
@@ -127,12 +127,12 @@ def _writer(path: Path, options: argparse.Namespace, keep_free: int) -> BagWrite
 
 
 def _absolute(rates: Iterable[tuple[str, float]]) -> dict[str, float]:
-    """Return rates by the topics' absolute names."""
+    """Return the rates by absolute topic name."""
     return {f"/{name.lstrip('/')}": rate for name, rate in rates}
 
 
 def default_name(begun: datetime) -> Path:
-    """Return the folder of a recording that was given none, to the microsecond: two may begin at once."""
+    """Return the default folder of a recording, to the microsecond: two recordings may start at once."""
     return Path(f"bag_{begun:%Y_%m_%d-%H_%M_%S_%f}")
 
 
@@ -167,7 +167,7 @@ def _record(
                 break
             session.spin()
             if not said and (node.listens or now_s - start_s > _FOUND_S):
-                # Whoever started this program may send SIGINT from now on.
+                # The parent may send SIGINT from now on.
                 print(f"recording to {path}", flush=True)
                 said = True
             waiting = f", nobody publishes {', '.join(node.missing)}" if node.missing else ""
@@ -187,7 +187,7 @@ def _record(
 
 
 def catch_up(node: BagRecorder) -> None:
-    """Take what has come until now: on a busy computer the last seconds before the end still wait."""
+    """Take the messages received so far: on a busy computer those of the last seconds still wait."""
     until_s = time.monotonic() + _BEHIND_S
     while node.take() and time.monotonic() < until_s:
         pass

@@ -16,12 +16,12 @@ from collections.abc import Iterator
 from pathlib import Path
 from types import FrameType
 
-from icu_common.adapters.program_end import end_signals, ends_quietly
+from icu_common.adapters.processes.program_end import end_signals, ends_quietly
 from icu_common.adapters.state_folder import default_state_folder
-from icu_common.adapters.step_ledger import LEDGER_VARIABLE
+from icu_common.adapters.steps.step_ledger import LEDGER_VARIABLE
 from icu_common.adapters.transport_profile import check_environment
-from icu_common.core.option_bounds import named_path
-from icu_common.core.yaml_text import values_of_pairs
+from icu_common.core.configuration.option_bounds import named_path
+from icu_common.core.configuration.yaml_text import values_of_pairs
 from scope_bench.adapters.configuration_folder import configuration_folder
 from scope_bench.adapters.environment import check_space, free_port
 from scope_bench.adapters.graph_ledger import is_used, new_ledger, path_of_graph
@@ -29,13 +29,13 @@ from scope_bench.adapters.graph_names import hold_another_domain, hold_names
 from scope_bench.adapters.run_log import RunLog
 from scope_bench.adapters.screen import Screen, is_terminal
 from scope_bench.cli.graph_run import GraphRun
-from scope_bench.core.graph_description import GraphError, Program, check_namespace, load_graph, simulators
+from scope_bench.core.startup.graph_description import GraphError, Program, check_namespace, load_graph, simulators
 
 _SETTING = re.compile(r"\w+\.[\w.]+=.*", re.DOTALL)
 
 
 def _folder(text: str) -> Path:
-    return named_path(text).expanduser()  # which a shell does not do behind an equals sign
+    return named_path(text).expanduser()  # a shell does not expand ~ after an equals sign
 
 
 def parser() -> argparse.ArgumentParser:
@@ -46,6 +46,7 @@ def parser() -> argparse.ArgumentParser:
     result.add_argument("--state", type=_folder, help="folder that keeps calibration and sign-in")
     result.add_argument("--run-dir", type=_folder, help="folder for sockets (default: a new temporary one)")
     result.add_argument("--scope", default="", help="model in config/scopes (default: graph.yaml's)")
+    result.add_argument("--room", default="", help="room in config/rooms of the simulated bench")
     result.add_argument("--namespace", default="", help="put every name of the graph under this namespace")
     result.add_argument("--only", action="append", default=[], metavar="PROGRAM", help="start nothing but this")
     result.add_argument("--without", action="append", default=[], metavar="PROGRAM", help="leave a program out")
@@ -63,10 +64,9 @@ def parser() -> argparse.ArgumentParser:
 
 
 def state_folder(given: Path | None, namespace: str = "") -> Path:
-    """Return the folder that keeps calibration and sign-in, made if need be, readable by this user alone.
+    """Return the folder for calibration and sign-in, created if necessary, readable only by this user.
 
-    The rights of a ``given`` folder that is there already, such as one that others use as well, are its owner's
-    business.
+    The permissions of an existing ``given`` folder, such as a shared one, stay unchanged.
     """
     folder = given or default_state_folder(namespace)
     if given is None or not folder.is_dir():
@@ -87,10 +87,10 @@ class BringUp:
         self._notes: list[str] = []
 
     def run(self) -> int:
-        """Run until a signal comes; return the exit code."""
+        """Run until a signal arrives; return the exit code."""
         for number in end_signals():
             signal.signal(number, self._stop)
-        if importlib.util.find_spec("rclpy") is None:  # for the programs: bring-up itself does without
+        if importlib.util.find_spec("rclpy") is None:  # the programs need it, bring-up itself does not
             raise ModuleNotFoundError("No module named 'rclpy'", name="rclpy")
         check_namespace(self.options.namespace)
         config = (self.options.config or configuration_folder()).resolve()
@@ -102,7 +102,7 @@ class BringUp:
             self._simulated = self._runs_by_simulated_time(config)
             programs = self._load(config, run, state)
             self._check_preparation(programs)
-            if not self.options.only:  # single programs may come to a graph
+            if not self.options.only:  # single programs may be added to a graph
                 state = self._hold_names(programs, state)
                 programs = self._load(config, run, state)
             programs = self._with_free_port(programs)
@@ -113,7 +113,7 @@ class BringUp:
 
     @contextlib.contextmanager
     def _ledger(self) -> Iterator[None]:
-        """Make the graph's ledger of steps, unless single programs are added to a graph that has one."""
+        """Create the graph's step ledger, unless single programs are added to a graph that has one."""
         path = path_of_graph(self.options.namespace)
         self._environment[LEDGER_VARIABLE] = str(path)
         if self.options.only:
@@ -138,15 +138,16 @@ class BringUp:
             state=state,
             robot_namespace=self.options.namespace,
             scope=self.options.scope,
+            room=self.options.room,
             simulated_time=self._simulated,
         )
         self._check_names(programs)
         return [self._with_single_values(program) for program in programs]
 
     def _hold_names(self, programs: list[Program], state: Path) -> Path:
-        """Hold the graph's names; return the folder for the state.
+        """Reserve the graph's names; return the state folder.
 
-        A second graph gets a ROS domain and a state folder of its own if the user has not chosen the domain and it
+        A second graph gets its own ROS domain and state folder if the user has not chosen the domain and the graph
         moves no real machine; see docs/decisions/start-up.md.
         """
         try:
@@ -161,11 +162,11 @@ class BringUp:
                 f"export ROS_DOMAIN_ID={domain}"
             )
             if self.options.state is None:
-                state = state_folder(state / f"domain-{domain}")  # a name that no namespace can have
+                state = state_folder(state / f"domain-{domain}")  # no namespace can have this name
         return state
 
     def _with_free_port(self, programs: list[Program]) -> list[Program]:
-        """Return the programs with a page's port that is free."""
+        """Return the programs with a free port for the page."""
         result = []
         for program in programs:
             if program.executable == "ui_bridge" and program in self._chosen(programs):
@@ -196,14 +197,14 @@ class BringUp:
         return [p for p in programs if p.name in wanted - {*self.options.without}]
 
     def _is_simulated(self, programs: list[Program]) -> bool:
-        """Return whether the driver's board is one in software that is started here, too."""
+        """Return whether the driver's board is simulated and started here as well."""
         chosen = self._chosen(programs)
         ports = [p.parameters.get("port") for p in chosen if p.name == "serial_driver"]
         boards = [p.arguments for p in chosen if p.executable == "mock_grbl"]
         return any(port in arguments for port in ports for arguments in boards)
 
     def _check_preparation(self, programs: list[Program]) -> None:
-        """Refuse to move what may be a machine with nobody at the page: a board in software is started here, too."""
+        """Reject --prepare, which moves a machine unattended, unless the board is simulated and started here."""
         if not self.options.prepare:
             return
         if "serial_driver" not in {p.name for p in programs}:
@@ -255,7 +256,7 @@ class BringUp:
             self._run.stopping = True
 
     def _broken(self, reason: str) -> None:
-        """End as by a signal when the output has no reader any more."""
+        """End as on a signal when the output has no reader any more."""
         if reason:
             self.unprinted = True
             print(f"error: standard output: {reason}; ending every program", file=sys.stderr)

@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from importlib.metadata import entry_points
 from pathlib import Path
 
-from icu_common.adapters.program_end import ends_quietly
+from icu_common.adapters.processes.program_end import ends_quietly
 from icu_common.nodes.runtime import run_together
 
 
@@ -19,7 +19,7 @@ def program(name: str) -> Callable[[], int]:
     Raises
     ------
     LookupError
-        If no package installs one of this name.
+        If no package installs an executable of this name.
     """
     for entry in entry_points(group="console_scripts", name=name):
         return entry.load()  # type: ignore[no-any-return]

@@ -1,4 +1,4 @@
-"""The process that bring_up starts programs from: see scope_bench.adapters.fork_server. Not for people."""
+"""Process from which bring_up starts programs: see scope_bench.adapters.fork_server. Not for direct use."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One run of the graph for bring_up: starts the programs, follows the preparation, and ends everything."""
+"""One run of the graph for bring_up: starts the programs, follows the preparation, and ends all programs."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ import time
 from pathlib import Path
 
 from icu_common.adapters.executables import find_executable
-from icu_common.adapters.hanging_programs import write_hanging
-from icu_common.adapters.processor_load import LoadMeter
+from icu_common.adapters.processes.hanging_programs import write_hanging
+from icu_common.adapters.processes.processor_load import LoadMeter
 from icu_common.adapters.terminal_keys import typed_text
-from icu_common.core.preparation import Report, Stage, from_line
-from icu_common.core.supervision import HANGING_VARIABLE
+from icu_common.core.processes.preparation import Report, Stage, from_line
+from icu_common.core.processes.supervision import HANGING_VARIABLE
 from scope_bench.adapters.fork_server import ForkServer
 from scope_bench.adapters.processes import ProcessGroup
 from scope_bench.adapters.screen import Screen
-from scope_bench.core.graph_description import Program
-from scope_bench.core.qr_code import qr_modules
-from scope_bench.core.run_words import (
+from scope_bench.core.startup.graph_description import Program
+from scope_bench.core.startup.qr_code import qr_modules
+from scope_bench.core.startup.run_words import (
     RemainingTime,
     Status,
     failure,
@@ -29,33 +29,35 @@ from scope_bench.core.run_words import (
     repeats_by_itself,
     starting,
 )
-from scope_bench.core.terminal_layout import Box
+from scope_bench.core.startup.terminal_layout import Box
 
 IMPORTANT = ("WARN", "ERROR", "FATAL", "error:", "Traceback", "Fatal Python error", 'File "', "http://", "https://")
-"""Without a terminal, lines with one of these are printed; the others go to the log."""
+"""Texts that mark lines to print without a terminal; all other lines only go to the log."""
 ON_TERMINAL = ("error:", "[FATAL]")
-"""On a terminal, these are printed above the box."""
+"""Texts that mark lines to print above the box on a terminal."""
 WAIT_S = 60.0
-"""Maximum seconds that a program waits for the simulated device that it belongs to."""
+"""Maximum seconds that a program waits for its simulated device."""
 _FORKING_PAYS = 3
 """Minimum number of nodes for which the server that forks them is started."""
 _TURN_S, _REST_S = 0.05, 0.2
-"""Seconds between two looks at what output does not announce: sockets that appear, keys; while it starts, and later."""
+"""Seconds between two checks for new sockets and keys, which no output announces: during the start, and later."""
 PREPARE = "prepare"
+DRIVER = "gantry_driver", "serial_driver"
+"""Package and executable of the program that owns the board's port through a guard."""
 _PAGE = re.compile(r"https?://\S+\?token=\S+")
 
 
 class GraphRun:
-    """Starts the programs, watches them, and shows how far it is.
+    """Starts the programs, watches them, and shows the progress.
 
     Parameters
     ----------
     options
-        Of bring_up's command line.
+        Options of bring_up's command line.
     programs
-        What is to be started.
+        Programs to start.
     screen
-        Where it is shown.
+        Display of the progress.
     notes
         Sentences for the box.
     log
@@ -92,7 +94,7 @@ class GraphRun:
         self._hanging = frozenset[int]()
 
     def run(self, temporary: Path, environment: dict[str, str]) -> int:
-        """Run until a signal comes or nothing can run; return the exit code."""
+        """Run until a signal arrives or no program can run; return the exit code."""
         hanging_file = temporary / "hanging.json"
         environment = {**environment, HANGING_VARIABLE: str(hanging_file)}
         nodes = sum(program.is_node for program in self._programs)
@@ -135,7 +137,7 @@ class GraphRun:
             self._read_keys()
 
     def _note_hanging(self, path: Path) -> None:
-        """Let the page's bridge know which programs give no sign of life, and say what uses the processor then."""
+        """Write the hanging programs to the file for the page bridge, and report what uses the processor then."""
         if self._group.hanging == self._hanging:
             return
         self._hanging = self._group.hanging
@@ -157,13 +159,22 @@ class GraphRun:
             [str(path), *self._arguments(program, temporary)],
             ends_last=program.ends_last,
             tells_ready=program.is_node,
+            rescue=self._rescue([program]),
         )
+
+    def _rescue(self, programs: list[Program]) -> list[str]:
+        """Return the command that lifts a stylus after a kill of driver and guard; empty without a driver."""
+        for program in programs:
+            if (program.package, program.executable) == DRIVER and (port := program.value("port")):
+                path = find_executable("gantry_driver", "gantry_guard", self._here)
+                return [str(path), "--port", str(port), "--recover"]
+        return []
 
     def _start_together(self, programs: list[Program], temporary: Path) -> None:
         table = temporary / "composed.json"
         table.write_text(json.dumps([[p.executable, self._arguments(p, temporary)] for p in programs]))
         composed = [str(find_executable("scope_bench", "composed", self._here)), str(table)]
-        self._group.start("composed", composed, tells_ready=True)
+        self._group.start("composed", composed, tells_ready=True, rescue=self._rescue(programs))
 
     def _arguments(self, program: Program, temporary: Path) -> list[str]:
         values = temporary / f"{program.name}.yaml"
@@ -182,7 +193,7 @@ class GraphRun:
         self._group.start_once(PREPARE, [str(path), "--json", *ros])
 
     def _prepared(self, text: str) -> None:
-        """Deal with the end of the preparation; ``text`` is what is known of the process."""
+        """Handle the end of the preparation; ``text`` describes how the process ended."""
         if text == "done":
             page = f" Open {self._page or 'the operator page'}" if self._serves_page else ""
             if not self._screen.terminal:
@@ -227,7 +238,7 @@ class GraphRun:
         self._screen.box(Box(address=address, notes=notes, footer=f"Log: {self._log}", qr=code))
 
     def _show(self, total: int) -> None:
-        """Show the moving line while something is to be waited for."""
+        """Show the moving line during a wait."""
         if self._box:
             return
         report, ready = self._report, self._group.ready_count()
@@ -240,7 +251,7 @@ class GraphRun:
             self._keep_box(f"All programs of the profile {self._options.profile} run.")
 
     def _show_status(self, status: Status) -> None:
-        # While the terminal takes no output (Control-S) the screen's queue must not grow with equal lines.
+        # While the terminal takes no output (Control-S), the screen's queue must not fill with equal lines.
         if status != self._status:
             self._status = status
             self._screen.status(status)
@@ -256,7 +267,7 @@ class GraphRun:
                 self._take(from_line(line))
                 return
             except ValueError:
-                pass  # a warning of ROS, or the last words of a crash
+                pass  # a warning of ROS, or the last output of a crash
         if not line:
             return
         words = ON_TERMINAL if self._screen.terminal else IMPORTANT

@@ -1,4 +1,4 @@
-"""One line on a terminal that shows how far something is; elsewhere a line now and then."""
+"""One progress line on a terminal; elsewhere an occasional line."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ class ProgressLine:
         self._next_s = 0.0
 
     def show(self, now_s: float, text: str) -> None:
-        """Show ``text``, if it is time to."""
+        """Show ``text`` if the interval has passed."""
         if now_s >= self._next_s:
             self._next_s = now_s + (_ON_TERMINAL_S if self._terminal else _ELSEWHERE_S)
             print(f"\r\033[K{text}" if self._terminal else text, end="" if self._terminal else "\n", file=sys.stderr)
             sys.stderr.flush()
 
     def end(self) -> None:
-        """Leave the line."""
+        """End the line."""
         if self._terminal:
             print(file=sys.stderr)

@@ -8,11 +8,11 @@ import math
 
 import cv2
 
-from icu_common.adapters.program_end import ends_quietly
-from icu_common.core.config import from_mapping
-from icu_common.core.option_bounds import named_path
-from icu_common.core.panel_layout import PanelLayout, load_layout
-from icu_common.core.yaml_text import values_of_pairs
+from icu_common.adapters.processes.program_end import ends_quietly
+from icu_common.core.configuration.config import from_mapping
+from icu_common.core.configuration.option_bounds import named_path
+from icu_common.core.configuration.yaml_text import values_of_pairs
+from icu_common.core.panel.panel_layout import PanelLayout, load_layout
 from scope_bench.adapters.configuration_folder import configuration_folder
 from scope_bench.core.bench import matrix
 from scope_bench.core.configuration import BenchConfig
@@ -35,7 +35,7 @@ def _tip(options: argparse.Namespace) -> str:
 
 
 def _state(options: argparse.Namespace, layout: PanelLayout) -> InstrumentState:
-    """Return the instrument after what was pressed and turned; a KeyError names a control that is not there."""
+    """Return the instrument after the given presses and turns; a KeyError names an unknown control."""
     state = InstrumentState()
     for name in options.press:
         state = press(state, layout.control(name).name, options.time - 0.5)
@@ -120,10 +120,10 @@ def main(arguments: list[str] | None = None) -> int:
         "camera_left_from_base": matrix(camera_from_base),
         "camera_left_from_panel": matrix(camera_from_base @ stands),
         "base_from_panel": matrix(stands),
-        "controls_px": control_pixels(view, layout),
+        "controls_px": control_pixels(view, renderer.layout),
     }
     try:
-        options.out.write_bytes(encoded)  # imwrite would not notice that a small one did not fit on the disk
+        options.out.write_bytes(encoded)  # imwrite does not report that a small file did not fit on the disk
         truth_file.write_text(json.dumps(truth, indent=1) + "\n", encoding="utf-8")
     except OSError as error:
         parser.error(str(error))

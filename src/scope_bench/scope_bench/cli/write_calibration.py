@@ -7,10 +7,10 @@ import sys
 
 import yaml
 
-from icu_common.adapters.program_end import ends_quietly
-from icu_common.core.config import from_mapping
-from icu_common.core.option_bounds import named_path
-from icu_common.core.parameter_file import values_for
+from icu_common.adapters.processes.program_end import ends_quietly
+from icu_common.core.configuration.config import from_mapping
+from icu_common.core.configuration.option_bounds import named_path
+from icu_common.core.configuration.parameter_file import values_for
 from scope_bench.core.configuration import BenchConfig
 from scope_bench.core.optics import stereo_rig
 

@@ -1,4 +1,4 @@
-"""The bench as a whole: motor samples in; stylus, contacts, instrument and the log of the truth out."""
+"""The whole bench: motor samples in; stylus, contacts, instrument and the log of the ground truth out."""
 
 from __future__ import annotations
 
@@ -9,21 +9,30 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from icu_common.core.geometry import Array, Transform
-from icu_common.core.panel_layout import PanelLayout
+from icu_common.core.geometry.geometry import Array, Transform
+from icu_common.core.panel.panel_layout import PanelLayout
 from scope_bench.core import instrument
 from scope_bench.core.configuration import BenchConfig
 from scope_bench.core.instrument import InstrumentState
 from scope_bench.core.mechanics import Errors, Mechanism, draw_errors
 from scope_bench.core.renderer import Moment, base_from_panel
-from scope_bench.core.touch import Touch, TouchEvent
+from scope_bench.core.touch import FACE, Touch, TouchEvent
+from scope_bench.imaging.motion import SAMPLE_S, TipTrack
+from scope_bench.manufacture.layout import deviations, manufactured
+from scope_bench.mechanisms.contact import GlassSensor, contact_diameter_mm
+from scope_bench.mechanisms.drives import Drives
+from scope_bench.mechanisms.switch import StylusSwitch
 
 GAP_S = 1.0
-"""After a longer silence of the motors the way between two samples is unknown."""
+"""Maximum seconds between two motor samples; after a longer gap the path between them is unknown."""
+NEAR_MM = 5.0
+"""Height in mm above the highest control below which the stylus switch may act soon."""
 _HISTORY = 400
+_TRACKED = 120
+"""Number of newest samples that an exposure may need."""
 _STILL_S, _STILL_M = 0.06, 1e-7
 _QUIET = ("running", "single_until_s", "phase_s", "held", "acted")
-"""Fields of the state that the log writes in its own words or not at all."""
+"""Fields of the state that the log writes in its own form or not at all."""
 
 
 class Bench:
@@ -32,27 +41,45 @@ class Bench:
     Parameters
     ----------
     layout
-        The panel.
+        The nominal panel.
     config
         The bench; its seed draws the hidden errors.
     """
 
     def __init__(self, layout: PanelLayout, config: BenchConfig) -> None:
-        self.layout = layout
+        self.nominal = layout
+        self.layout = manufactured(layout, config.manufacture, config.seed)
+        """The panel as manufactured: the surface that is touched, and the reference for a touch."""
         self.config = config
         self.errors: Errors = draw_errors(config.mechanics, np.random.default_rng(config.seed))
-        self._mechanism = Mechanism(config.mechanics, config.stylus, self.errors)
+        self._drives = Drives(config.mechanisms, config.seed)
+        self._mechanism = Mechanism(config.mechanics, config.stylus, self.errors, self._drives)
         self.moved: tuple[float, float, float] = (0.0, 0.0, 0.0)
         self.panel_from: Transform = base_from_panel(config.panel)
         self.state = InstrumentState()
-        self.touch = Touch(layout, config.stylus.ball_diameter_mm / 2, self._react, self._knob_deg)
+        self.touch = self._make_touch(config)
+        self._switch = StylusSwitch(config.stylus.switch)
+        self._glass = GlassSensor()
         self._records: list[dict[str, Any]] = []
         self._history: deque[tuple[float, Array, Array]] = deque(maxlen=_HISTORY)
         self._commanded: Array | None = None
         self._last_s = -np.inf
+        self._log_layout()
+
+    def _make_touch(self, config: BenchConfig) -> Touch:
+        radius_mm = config.stylus.ball_diameter_mm / 2
+        spring, mechanisms = config.stylus.spring, config.mechanisms
+        return Touch(self.layout, radius_mm, self._react, self._knob_deg, config.keys, spring, mechanisms)
+
+    def _log_layout(self) -> None:
+        """Log the true panel if it differs from the nominal one."""
+        if self.layout is not self.nominal:
+            time_s = self._last_s if np.isfinite(self._last_s) else 0.0
+            controls = deviations(self.nominal, self.layout)
+            self._records.append({"time_s": time_s, "event": "layout", "controls": controls})
 
     def feed(self, mpos_mm: npt.ArrayLike, spindle: float, coolant: bool, time_s: float) -> None:
-        """Take one sample of the motors.
+        """Process one motor sample.
 
         Parameters
         ----------
@@ -61,7 +88,7 @@ class Bench:
         spindle, coolant
             The tool pins.
         time_s
-            When; samples that go back in time are ignored.
+            Time of the sample; samples that go back in time are ignored.
         """
         if time_s < self._last_s:
             return
@@ -71,23 +98,62 @@ class Bench:
             self.touch.place(panel_mm, time_s)
         else:
             self.touch.move(panel_mm, time_s, self._last_s)
+        self._slide()
+        self._switch.compress(self.touch.compression_mm)
+        if self.config.mechanisms.glass.enabled:
+            self._feel_glass(time_s)
         self._last_s = time_s
         self._history.append((time_s, self.tip_base(), self._mechanism.carriage))
         self.advance(time_s)
+
+    def _feel_glass(self, time_s: float) -> None:
+        """Update a capacitive screen's decision whether the contact is a touch."""
+        glass, touch = self.config.mechanisms.glass, self.touch
+        on_screen = any(c.name == touch.contact and c.kind == "touch_area" for c in self.layout.controls)
+        diameter = contact_diameter_mm(touch.force_n, touch.radius_mm, glass) if on_screen else 0.0
+        if self._glass.feel(diameter, time_s, glass):
+            self._react(
+                TouchEvent(
+                    kind="screen",
+                    control=touch.contact,
+                    time_s=time_s,
+                    tip_mm=touch.tip_mm,
+                    overtravel_mm=touch.compression_mm,
+                    force_n=touch.force_n,
+                )
+            )
+
+    def _slide(self) -> None:
+        """Move the panel by the distance that the stylus has pushed it since the last sample."""
+        dx, dy = self.touch.take_slide()
+        if dx or dy:
+            away = self.panel_from.rotation @ np.array([dx, dy, 0.0]) / 1000
+            x, y, turn = self.moved
+            self.moved = (x + float(away[0]), y + float(away[1]), turn)
+            self.panel_from = base_from_panel(self.config.panel, self.moved)
+
+    @property
+    def switch_closed(self) -> bool:
+        """Whether the switch in the stylus connects the board's probe input to ground."""
+        return self._switch.closed
+
+    def switch_is_near(self) -> bool:
+        """Return whether the stylus has a switch and is so low that it may act soon."""
+        return self.config.stylus.switch.enabled and self.touch.is_near(NEAR_MM)
 
     def _knob_deg(self, name: str) -> float:
         return self.state.knob_deg(name)
 
     def advance(self, time_s: float) -> None:
-        """Let the instrument's own time pass."""
+        """Advance the instrument's own time."""
         self._become(instrument.advance(self.state, time_s), time_s)
 
     def tip_base(self) -> Array:
-        """Return the ball's true centre now, (3,) metres in base_link."""
+        """Return the current true centre of the ball, (3,) metres in base_link."""
         return self.panel_from.apply(np.asarray(self.touch.tip_mm) / 1000)
 
     def _places_at(self, time_s: float) -> tuple[Array, Array]:
-        """Return the ball's centre (3,) and the carriage's place (2,), m in base_link, between the samples around."""
+        """Return ball centre (3,) and carriage position (2,), m in base_link, interpolated between samples."""
         if not self._history:
             return np.zeros(3), np.zeros(2)
         later = self._history[-1]
@@ -100,8 +166,18 @@ class Bench:
             later = earlier
         return later[1], later[2]
 
-    def moment(self, time_s: float) -> Moment:
-        """Return what a camera sees at ``time_s``."""
+    def track(self, time_s: float, half_s: float) -> TipTrack:
+        """Return the path of the tip from ``half_s`` before a time to ``half_s`` after it."""
+        times = np.linspace(-half_s, half_s, 2 * max(int(np.ceil(half_s / SAMPLE_S)), 1) + 1)
+        newest = list(self._history)[-_TRACKED:]
+        if not newest:
+            return TipTrack(times_s=times, tips=np.zeros((len(times), 3)))
+        seconds = np.array([sample[0] for sample in newest]) - time_s
+        tips = np.array([sample[1] for sample in newest])
+        return TipTrack(times_s=times, tips=np.stack([np.interp(times, seconds, tip) for tip in tips.T], axis=-1))
+
+    def moment(self, time_s: float, half_s: float = 0.0) -> Moment:
+        """Return the scene at ``time_s``, and the stylus's path for ``half_s`` before and after it."""
         tip, carriage = self._places_at(time_s)
         return Moment(
             tip=(float(tip[0]), float(tip[1]), float(tip[2])),
@@ -110,22 +186,38 @@ class Bench:
             sunk_mm=self.touch.sunk_mm(),
             carriage=(float(carriage[0]), float(carriage[1])),
             crossing=bool(np.abs(carriage - self._places_at(time_s - _STILL_S)[1]).max() > _STILL_M),
+            track=self.track(time_s, half_s) if half_s > 0 else None,
         )
 
     def move_panel(self, dx_m: float, dy_m: float, turn_deg: float) -> None:
-        """Push the panel along by so much."""
+        """Push the panel by this translation and rotation."""
         x, y, turn = self.moved
         self.moved = (x + dx_m, y + dy_m, turn + turn_deg)
         self._stand_anew()
 
     def reconfigure(self, config: BenchConfig) -> None:
-        """Take another configuration; the mechanism keeps its errors unless their bounds changed."""
+        """Apply another configuration; the mechanism keeps its errors and its play unless their bounds changed.
+
+        Raises
+        ------
+        ConfigError
+            If it does not fit the panel; the configuration then stays unchanged.
+        """
+        self.touch.rebuild_keys(config.keys, config.stylus.spring)
         old, self.config = self.config, config
-        if config.mechanics != old.mechanics or config.stylus != old.stylus:
+        if config.mechanics.still() != old.mechanics.still() or config.stylus.still() != old.stylus.still():
             self.errors = draw_errors(config.mechanics, np.random.default_rng(config.seed))
-            self._mechanism = Mechanism(config.mechanics, config.stylus, self.errors)
+            self._mechanism = Mechanism(config.mechanics, config.stylus, self.errors, self._drives)
             self.touch.radius_mm = config.stylus.ball_diameter_mm / 2
-        if config.panel != old.panel:
+        self._mechanism.shift(config.mechanics)
+        self._drives.configure(config.mechanisms)
+        self.touch.mechanisms = config.mechanisms
+        self._switch.config = config.stylus.switch
+        if config.manufacture != old.manufacture:
+            self.layout = manufactured(self.nominal, config.manufacture, config.seed)
+            self.touch = self._make_touch(config)
+            self._log_layout()
+        if config.panel != old.panel or config.manufacture != old.manufacture:
             self._stand_anew()
 
     def _stand_anew(self) -> None:
@@ -134,12 +226,12 @@ class Bench:
             self.touch.place(self.panel_from.inverse().apply(self._commanded) * 1000, self._last_s)
 
     def take_records(self) -> list[dict[str, Any]]:
-        """Return what has happened since the last call, for the log; ``time_s`` is still on the monotonic clock."""
+        """Return the events since the last call, for the log; ``time_s`` is still on the monotonic clock."""
         records, self._records = self._records, []
         return records
 
     def truth(self) -> dict[str, Any]:
-        """Return the whole physical truth at the newest sample."""
+        """Return the complete physical ground truth at the newest sample."""
         commanded = self._commanded if self._commanded is not None else np.zeros(3)
         return {
             "tip_base_m": self.tip_base().tolist(),
@@ -147,7 +239,14 @@ class Bench:
             "commanded_base_m": commanded.tolist(),
             "carriage_m": self._mechanism.carriage.tolist(),
             "contact": self.touch.contact,
+            "compression_mm": self.touch.compression_mm,
+            "switch_closed": self.switch_closed,
+            "force_n": self.touch.force_n,
+            "side_force_n": self.touch.side_force_n,
+            "sinking_mm": self.touch.sinking_mm,
+            "warmer_k": self._drives.rise_k(self._last_s) if np.isfinite(self._last_s) else 0.0,
             "base_from_panel": matrix(self.panel_from),
+            "controls": deviations(self.nominal, self.layout),
             "instrument": dataclasses.asdict(self.state),
             "errors": {
                 "play_mm": self.errors.play_mm.tolist(),
@@ -165,7 +264,11 @@ class Bench:
             "tip_base_m": [round(float(v), 7) for v in tip_m],
             "tip_panel_mm": [round(v, 4) for v in event.tip_mm],
             "overtravel_mm": round(event.overtravel_mm, 4),
+            "force_n": round(event.force_n, 3),
         }
+        if event.control and event.control != FACE:
+            control = self.layout.control(event.control)
+            record["control_mm"] = [round(v, 4) for v in (*control.position_mm, control.height_mm)]
         state, time_s = self.state, event.time_s
         if event.kind == "press":
             state = instrument.press(state, event.control, time_s)
@@ -174,14 +277,19 @@ class Bench:
         elif event.kind == "turn":
             detent_deg = self.layout.control(event.control).detent_deg
             state = instrument.turn(state, event.control, event.degrees, detent_deg)
-        elif event.kind in ("contact", "drag") and event.control:
+        elif event.kind in self._screen_events() and event.control:
             state = self._touched_screen(event)
         if event.kind == "release":
             record["turned_deg"] = round(event.degrees, 3)
-        # Turning and dragging go on from step to step; the log has their sum at the release.
+        # Turning and dragging continue from step to step; the log has their sum at the release.
         if event.kind not in ("turn", "drag"):
             self._records.append(record)
         self._become(state, time_s)
+
+    def _screen_events(self) -> tuple[str, ...]:
+        if not self.config.mechanisms.glass.enabled:
+            return "contact", "drag"
+        return ("screen", "drag") if self._glass.touched else ("screen",)
 
     def _touched_screen(self, event: TouchEvent) -> InstrumentState:
         for control in self.layout.controls:

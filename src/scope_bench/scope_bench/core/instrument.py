@@ -1,4 +1,4 @@
-"""The oscilloscope's behaviour: how its state changes when a control is pressed, held, turned or touched."""
+"""Behaviour of the oscilloscope: changes of its state when a control is pressed, held, turned or touched."""
 
 from __future__ import annotations
 
@@ -6,18 +6,18 @@ import dataclasses
 from dataclasses import dataclass
 
 VOLTS_PER_DIVISION = tuple(m * 10.0**e for e in range(-3, 2) for m in (1, 2, 5))[:12]
-"""1 mV to 5 V."""
+"""Vertical scales, 1 mV to 5 V."""
 SECONDS_PER_DIVISION = tuple(m * 10.0**e for e in range(-9, 1) for m in (1, 2, 5))
-"""1 ns to 5 s."""
+"""Time scales, 1 ns to 5 s."""
 SCALE_DETENT_DEG = 18.0
 POSITION_DETENT_DEG = 9.0
 POSITION_STEP = 0.2
 """Divisions per detent of a position or level knob."""
 RED = "#e02b20"
 HOLD_S = 1.0
-"""A button held longer than this acts a second time, in its own way."""
+"""Seconds after which a held button acts a second time, in its own way."""
 SINGLE_S = 0.6
-"""How long a single acquisition waits for its trigger."""
+"""Seconds for which a single acquisition waits for its trigger."""
 
 MENUS = {
     "MENU": ("DISPLAY", "SYSTEM", "LANGUAGE", "HELP"),
@@ -28,11 +28,11 @@ MENUS = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class InstrumentState:
-    """Everything the instrument remembers.
+    """Complete state of the instrument.
 
-    ``phase_s`` is the signal time at which the picture of a stopped trace was taken; ``marker`` is the last touch on
-    the screen as shares of its width and height from its lower left corner; ``knobs`` holds the turn of each knob in
-    degrees, counter-clockwise positive, ``held`` the buttons that are down, and ``lit`` the lamps switched by a press.
+    ``phase_s`` is the signal time of a stopped trace. ``marker`` is the last touch on the screen as shares of its width
+    and height from its lower left corner. ``knobs`` has the rotation of each knob in degrees, counter-clockwise
+    positive. ``held`` are the pressed buttons, ``lit`` the lamps switched by a press.
     """
 
     running: bool = True
@@ -57,11 +57,11 @@ class InstrumentState:
     lit: tuple[str, ...] = ()
 
     def knob_deg(self, name: str) -> float:
-        """Return how far a knob is turned."""
+        """Return the rotation of a knob in degrees."""
         return dict(self.knobs).get(name, 0.0)
 
     def lamp(self, name: str, lit_colour: str) -> str:
-        """Return the colour in which the lamp of a control shines now, "" when it is dark."""
+        """Return the current colour of a control's lamp, "" if it is dark."""
         if name == "RUN_STOP":
             return lit_colour if self.running else RED
         if name in ("CH1", "CH2"):
@@ -70,7 +70,7 @@ class InstrumentState:
 
 
 def press(state: InstrumentState, name: str, now_s: float) -> InstrumentState:
-    """React to a button that went down far enough at ``now_s``."""
+    """Process a button that was pressed far enough at ``now_s``."""
     state = dataclasses.replace(state, held=(*state.held, (name, now_s)), note="")
     if name == "RUN_STOP":
         return dataclasses.replace(state, running=not state.running, phase_s=now_s, single_until_s=0.0)
@@ -91,13 +91,13 @@ def press(state: InstrumentState, name: str, now_s: float) -> InstrumentState:
     if name in MENUS:
         opened = "" if state.menu in (name, "SYSTEM") else name
         return dataclasses.replace(state, menu=opened, menu_item=-1)
-    # A button that this instrument does not know switches its own lamp.
+    # A button without a function in this instrument switches its own lamp.
     lit = tuple(n for n in state.lit if n != name) if name in state.lit else (*state.lit, name)
     return dataclasses.replace(state, lit=lit)
 
 
 def release(state: InstrumentState, name: str) -> InstrumentState:
-    """React to a button that came up again."""
+    """Process a released button."""
     return dataclasses.replace(
         state,
         held=tuple(pair for pair in state.held if pair[0] != name),
@@ -106,7 +106,7 @@ def release(state: InstrumentState, name: str) -> InstrumentState:
 
 
 def advance(state: InstrumentState, now_s: float) -> InstrumentState:
-    """Let time pass: a single acquisition ends, a held button acts again (once per hold)."""
+    """Advance time: a single acquisition ends, a held button acts again (once per hold)."""
     if state.single_until_s and now_s >= state.single_until_s:
         state = dataclasses.replace(state, running=False, phase_s=state.single_until_s, single_until_s=0.0)
     for name, since_s in state.held:
@@ -120,9 +120,9 @@ def advance(state: InstrumentState, now_s: float) -> InstrumentState:
 
 
 def turn(state: InstrumentState, name: str, degrees: float, detent_deg: float = 0.0) -> InstrumentState:
-    """Turn a knob by ``degrees``, counter-clockwise positive; what it sets changes at its detents.
+    """Turn a knob by ``degrees``, counter-clockwise positive; its value changes at its detents.
 
-    They are ``detent_deg`` apart, as its layout says; 0: as is usual for its kind.
+    The detents are ``detent_deg`` apart, as in the layout; 0: the usual distance for the knob's kind.
     Clockwise gives fewer volts or seconds per division, and moves traces and levels up or right.
     """
     before = state.knob_deg(name)
@@ -154,7 +154,7 @@ def turn(state: InstrumentState, name: str, degrees: float, detent_deg: float = 
 
 
 def touch(state: InstrumentState, x_share: float, y_share: float) -> InstrumentState:
-    """React to a touch on the screen: choose an open menu's item, or set the marker."""
+    """Process a touch on the screen: choose an item of the open menu, or set the marker."""
     if state.menu and x_share > MENU_LEFT_SHARE:
         items = MENUS[state.menu]
         index = int((1 - y_share) * (len(items) + 1)) - 1
@@ -163,7 +163,7 @@ def touch(state: InstrumentState, x_share: float, y_share: float) -> InstrumentS
 
 
 MENU_LEFT_SHARE = 0.8
-"""Where the menu begins, as a share of the screen's width."""
+"""Left edge of the menu as a share of the screen's width."""
 
 
 def _clamped(index: int, table: tuple[float, ...]) -> int:

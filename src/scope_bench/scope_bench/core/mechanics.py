@@ -1,7 +1,8 @@
-"""From motor positions to the stylus' true place, with errors that only the bench knows.
+"""True position of the stylus from motor positions, with errors that only the bench has.
 
-Each axis has play: the carriage follows its motor only after the play is used up. The axes' scales are off, y is not
-square to x, and z is not upright. The frame is base_link, whose origin is the ball's centre when homed and retracted.
+Each axis has backlash: the carriage follows its motor only after the backlash is used up. The axes have scale errors, y
+is not perpendicular to x, and z is tilted. The frame is base_link, whose origin is the centre of the homed, retracted
+ball.
 """
 
 from __future__ import annotations
@@ -11,8 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from icu_common.core.geometry import Array
+from icu_common.core.geometry.geometry import Array
 from scope_bench.core.configuration import MechanicsConfig, StylusConfig
+from scope_bench.mechanisms.configuration import MechanismsConfig
+from scope_bench.mechanisms.drives import Drives
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -36,41 +39,52 @@ def draw_errors(config: MechanicsConfig, rng: np.random.Generator) -> Errors:
 
 
 class Mechanism:
-    """Follows the motors; remembers where in its play each axis stands."""
+    """Follows the motors; keeps the position of each axis within its backlash."""
 
-    def __init__(self, config: MechanicsConfig, stylus: StylusConfig, errors: Errors) -> None:
+    def __init__(
+        self, config: MechanicsConfig, stylus: StylusConfig, errors: Errors, drives: Drives | None = None
+    ) -> None:
+        self._drives = drives if drives is not None else Drives(MechanismsConfig(), 0)
         self._stylus = stylus
         self._errors = errors
         self._homed = np.asarray(config.homed_mm)
+        self.shift(config)
         self._carriage: Array | None = None
         self._stroke_mm = 0.0
         self._last_s = 0.0
         self.carriage: Array = np.zeros(2)
-        """(2,) m: how far the carriage has truly moved in base_link."""
+        """(2,) m: true displacement of the carriage in base_link."""
+
+    def shift(self, config: MechanicsConfig) -> None:
+        """Apply changes since the calibration of the machine: missed steps, and a height error of the stylus."""
+        self._missed_mm = np.array([*config.missed_mm, 0.0])
+        self._z_offset_mm = config.z_offset_mm
 
     def tip(self, mpos_mm: npt.ArrayLike, spindle: float, coolant: bool, now_s: float) -> Array:
-        """Return the ball's centre, (3,) metres in base_link, when nothing stops it.
+        """Return the centre of an unobstructed ball, (3,) metres in base_link.
 
         Parameters
         ----------
         mpos_mm
             (3,) true motor positions in the frame of the homed machine.
         spindle, coolant
-            What the tool pins do; they move the stylus when it is a servo or a solenoid.
+            States of the tool pins; they move a stylus with a servo or a solenoid.
         now_s
             Time of the sample; must not go back.
         """
-        motor = np.asarray(mpos_mm, dtype=np.float64) - self._homed
+        motor = np.asarray(mpos_mm, dtype=np.float64) - self._homed + self._missed_mm
         motor[2] = -motor[2] if self._stylus.kind == "z_axis" else self._stroke(spindle, coolant, now_s)
+        motor = self._drives.motors(motor)
         if self._carriage is None:
             self._carriage = motor.copy()
-        # Play: the carriage is pushed by the motor from one side or the other. After homing the last move was upwards,
+        # Backlash: the motor pushes the carriage from one side or the other. After homing the last move was upwards,
         # so the origin is where the motor pushes in the positive direction.
         self._carriage = np.clip(self._carriage, motor, motor + self._errors.play_mm)
-        extension = self._carriage[2]
-        self.carriage = self._errors.base_from_carriage @ self._carriage[:2] / 1000
+        true = self._drives.carriage(self._carriage, now_s)
+        extension = true[2]
+        self.carriage = self._errors.base_from_carriage @ true[:2] / 1000
         xy = self.carriage * 1000 + self._errors.lean * extension
-        return np.array([xy[0], xy[1], -extension]) / 1000
+        return np.array([xy[0], xy[1], self._z_offset_mm - extension]) / 1000
 
     def _stroke(self, spindle: float, coolant: bool, now_s: float) -> float:
         config = self._stylus

@@ -1,4 +1,4 @@
-"""The bench's own cameras: projection with plumb-bob distortion, viewing rays, and what a perfect calibration finds.
+"""The bench's own cameras: projection with plumb-bob distortion, viewing rays, and the perfect calibration.
 
 Written for the bench alone, so that an error in the perception's geometry cannot cancel against the same error here.
 The centre of the first pixel is (0, 0); camera frames have z forward, x right, y down.
@@ -7,13 +7,14 @@ Source of the distortion: D. C. Brown, "Decentering Distortion of Lenses" (1966)
 
 from __future__ import annotations
 
+from collections import OrderedDict
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from icu_common.core.geometry import Array, Transform
+from icu_common.core.geometry.geometry import Array, Transform
 from scope_bench.core.configuration import CameraConfig
 
 _DIGITS = 13
@@ -30,12 +31,14 @@ def turn(axis: int, degrees: float) -> Array:
 
 
 _PIECE = 4096
-"""Rays that are computed at a time."""
+"""Number of rays computed at a time."""
+_SLOPES: OrderedDict[Any, tuple[Array, Array]] = OrderedDict()
+"""Slopes of the last two lenses."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Camera:
-    """One camera: where it stands (``camera_from_base``, not rectified) and how it draws."""
+    """One camera: its pose (``camera_from_base``, not rectified) and its projection."""
 
     name: str
     width: int
@@ -44,9 +47,11 @@ class Camera:
     centre_px: tuple[float, float]
     distortion: tuple[float, float, float, float, float]
     camera_from_base: Transform
+    extra: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """k4 and a trefoil of two components, which no calibration of the robot contains."""
 
     def project(self, points_base: npt.ArrayLike) -> Array:
-        """Project (N, 3) or (3,) points in metres in base_link to (N, 2) raw pixels; all must be in front."""
+        """Project (N, 3) or (3,) points in metres in base_link, all in front of the camera, to (N, 2) raw pixels."""
         points = np.atleast_2d(np.asarray(points_base, dtype=np.float64))
         x, y, z = self.camera_from_base.apply(points).T
         a, b = self._distorted(x / z, y / z)
@@ -54,21 +59,25 @@ class Camera:
 
     def _distorted(self, a: Array, b: Array) -> tuple[Array, Array]:
         k1, k2, p1, p2, k3 = self.distortion
+        k4, t1, t2 = self.extra
         q = a**2 + b**2
-        radial = 1 + q * (k1 + q * (k2 + q * k3))
-        return (
-            a * radial + 2 * p1 * a * b + p2 * (q + 2 * a**2),
-            b * radial + p1 * (q + 2 * b**2) + 2 * p2 * a * b,
-        )
+        radial = 1 + q * (k1 + q * (k2 + q * (k3 + q * k4 if k4 else k3)))
+        x = a * radial + 2 * p1 * a * b + p2 * (q + 2 * a**2)
+        y = b * radial + p1 * (q + 2 * b**2) + 2 * p2 * a * b
+        if t1 or t2:
+            square, product = a**2 - b**2, 2 * a * b
+            x, y = x + t1 * square + t2 * product, y + t2 * square - t1 * product
+        return x, y
 
     def slopes(self, u: npt.ArrayLike, v: npt.ArrayLike) -> tuple[Array, Array]:
         """Return (a, b) = (x / z, y / z) in the camera frame of the rays through raw pixels, any one shape.
 
-        Newton's method on the distortion; the residual is below 1e-12 after a few rounds for lenses of this kind.
+        Newton's method on the distortion; the residual is below 1e-12 after a few iterations for such lenses. The
+        derivative ignores the trefoil, which is small enough.
         """
         u, v = np.broadcast_arrays(np.asarray(u, dtype=np.float64), np.asarray(v, dtype=np.float64))
         result = np.empty((2, u.size))
-        # In pieces that stay in the processor's cache: a whole picture takes twice as long.
+        # In pieces that stay in the processor's cache: a whole image at once takes twice as long.
         for start in range(0, u.size, _PIECE):
             piece = slice(start, start + _PIECE)
             result[:, piece] = self._undistorted(
@@ -79,11 +88,12 @@ class Camera:
 
     def _undistorted(self, target_a: Array, target_b: Array) -> tuple[Array, Array]:
         k1, k2, p1, p2, k3 = self.distortion
+        k4 = self.extra[0]
         a, b = target_a.copy(), target_b.copy()
         for _ in range(6):
             q = a**2 + b**2
-            radial = 1 + q * (k1 + q * (k2 + q * k3))
-            slope = k1 + q * (2 * k2 + q * 3 * k3)
+            radial = 1 + q * (k1 + q * (k2 + q * (k3 + q * k4 if k4 else k3)))
+            slope = k1 + q * (2 * k2 + q * (3 * k3 + q * 4 * k4 if k4 else 3 * k3))
             da, db = self._distorted(a, b)
             j_aa = radial + 2 * a**2 * slope + 2 * p1 * b + 6 * p2 * a
             j_bb = radial + 2 * b**2 * slope + 6 * p1 * b + 2 * p2 * a
@@ -94,18 +104,46 @@ class Camera:
             b = b + (j_aa * rb - j_ab * ra) / det
         return a, b
 
+    def pixel_slopes(self) -> tuple[Array, Array]:
+        """Return the slopes of all pixels' rays, (H, W) each; a rotation of the camera does not change them."""
+        lens = (self.width, self.height, self.focal_px, self.centre_px, self.distortion, self.extra)
+        slopes = _SLOPES.get(lens)
+        if slopes is None:
+            v, u = np.mgrid[0 : self.height, 0 : self.width].astype(np.float64)
+            slopes = self.slopes(u, v)
+            while len(_SLOPES) > 1:
+                _SLOPES.popitem(last=False)
+            _SLOPES[lens] = slopes
+        return slopes
+
     @property
     def position(self) -> Array:
-        """(3,) place of the camera in base_link, metres."""
+        """(3,) position of the camera in base_link, metres."""
         return self.camera_from_base.inverse().translation
+
+
+class Rays:
+    """The viewing rays of a camera through its pixel centres; they do not change when the panel moves.
+
+    ``lean`` (2, H, W) is the displacement of a ray along x and y of base_link per metre downwards; ``eye`` (3,) is the
+    common origin, in metres in base_link.
+    """
+
+    def __init__(self, camera: Camera) -> None:
+        a, b = camera.pixel_slopes()
+        direction = camera.camera_from_base.rotation.T @ np.stack([a.ravel(), b.ravel(), np.ones(a.size)])
+        self.camera = camera
+        self.eye = camera.position
+        self.lean: Array = (direction[:2] / -direction[2]).reshape(2, camera.height, camera.width)
+        self.lean.flags.writeable = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class StereoRig:
-    """The pair, and the rectification a perfect calibration would find for it.
+    """The camera pair, and the rectification of a perfect calibration.
 
-    ``rectified_from_camera`` are the two (3, 3) rotations; ``rectified_focal_px`` is chosen so that every raw pixel's
-    column stays in the rectified picture.
+    ``rectified_from_camera`` are the two (3, 3) rotations; ``rectified_focal_px`` keeps the column of every raw pixel
+    inside the rectified image.
     """
 
     left: Camera
@@ -130,7 +168,7 @@ class StereoRig:
 
         def matrix(rows: Any) -> dict[str, Any]:
             values = np.atleast_2d(np.asarray(rows, dtype=np.float64))
-            # Processors differ in the last digits. Adding 0.0 turns a negative zero into a plain one.
+            # Processors differ in the last digits. Adding 0.0 turns a negative zero into a positive one.
             data = [round(float(x), _DIGITS) + 0.0 for x in values.ravel()]
             return {"rows": values.shape[0], "cols": values.shape[1], "data": data}
 
@@ -148,7 +186,7 @@ class StereoRig:
 
 def stereo_rig(config: CameraConfig) -> StereoRig:
     """Mount the two cameras on their bar."""
-    # A bar that looks along -z with x to the right, then raised towards -y, swung about z, and rolled.
+    # A bar with its line of sight along -z and x to the right, then raised towards -y, rotated about z, and rolled.
     base_from_bar = turn(2, config.azimuth_deg) @ turn(0, config.elevation_deg) @ np.diag([1.0, -1.0, -1.0])
     base_from_bar = base_from_bar @ turn(2, config.roll_deg)
     middle = np.asarray(config.aim_m) - config.distance_m * base_from_bar[:, 2]
@@ -177,7 +215,7 @@ def stereo_rig(config: CameraConfig) -> StereoRig:
 
 
 def _rectified(left: Camera, right: Camera, baseline_m: float) -> StereoRig:
-    """Turn both cameras virtually so that their x axes lie on the baseline and their z axes agree (Fusiello 2000)."""
+    """Rotate both cameras virtually: x axes along the baseline, equal z axes (Fusiello 2000)."""
     axes = [c.camera_from_base.rotation for c in (left, right)]
     x = (right.position - left.position) / np.linalg.norm(right.position - left.position)
     z = axes[0][2] + axes[1][2]

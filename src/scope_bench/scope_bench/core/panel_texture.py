@@ -1,6 +1,6 @@
-"""Draws the panel's printed face from its layout, with edges at their true places to a small part of a texel.
+"""Draws the panel's printed face from its layout, with edges accurate to a small part of a texel.
 
-Coverage is computed from distances, not by a drawing library, whose rounding to whole pixels would move the artwork.
+Coverage is computed from distances: the rounding of a drawing library to whole pixels would move the artwork.
 Texel (row, column) covers ``column / s <= x < (column + 1) / s`` and the same from the top in y, ``s`` texels per mm.
 """
 
@@ -11,9 +11,9 @@ import itertools
 import numpy as np
 import numpy.typing as npt
 
-from icu_common.core.geometry import Array
-from icu_common.core.panel_layout import Circle, Control, Line, PanelLayout, Rectangle, Text, rgb
-from icu_common.core.stroke_font import text_strokes
+from icu_common.core.geometry.geometry import Array
+from icu_common.core.panel.panel_layout import Circle, Control, Line, PanelLayout, Rectangle, Text, rgb
+from icu_common.core.panel.stroke_font import text_strokes
 
 Picture = npt.NDArray[np.uint8]
 
@@ -24,7 +24,7 @@ def bgr(colour: str) -> Array:
 
 
 class Canvas:
-    """A picture of a rectangle in millimetres, y up, origin at its lower left corner.
+    """An image of a rectangle in millimetres, y up, origin at its lower left corner.
 
     Parameters
     ----------
@@ -33,7 +33,7 @@ class Canvas:
     per_mm
         Texels per millimetre.
     colour
-        Of the ground, ``#rrggbb``.
+        Background colour, ``#rrggbb``.
     """
 
     def __init__(self, size_mm: tuple[float, float], per_mm: float, colour: str) -> None:
@@ -44,7 +44,7 @@ class Canvas:
         self.picture[:] = bgr(colour)
 
     def rectangle(self, x: float, y: float, width: float, height: float, colour: str) -> None:
-        """Fill from the lower left corner; a texel at the edge gets the share that is covered."""
+        """Fill a rectangle from its lower left corner; a texel at the edge gets the covered share."""
         rows, columns, xs, ys = self._window(x, y, x + width, y + height)
         half = 0.5 / self.per_mm
         share_x = np.clip(np.minimum(xs + half, x + width) - np.maximum(xs - half, x), 0, None)
@@ -52,7 +52,7 @@ class Canvas:
         self._blend(rows, columns, np.outer(share_y, share_x) * self.per_mm**2, colour)
 
     def frame(self, x: float, y: float, width: float, height: float, line_mm: float, colour: str) -> None:
-        """Outline with the line's middle on the edge."""
+        """Draw an outline with the middle of the line on the edge."""
         half = line_mm / 2
         self.rectangle(x - half, y - half, width + line_mm, line_mm, colour)
         self.rectangle(x - half, y + height - half, width + line_mm, line_mm, colour)
@@ -60,7 +60,7 @@ class Canvas:
         self.rectangle(x + width - half, y + half, line_mm, height - line_mm, colour)
 
     def ring(self, x: float, y: float, inner: float, outer: float, colour: str) -> None:
-        """Fill between two radii; ``inner`` below 0 fills the whole disc."""
+        """Fill the ring between two radii; ``inner`` below 0 fills the whole disc."""
         rows, columns, xs, ys = self._window(x - outer, y - outer, x + outer, y + outer)
         radius = np.hypot(xs[None, :] - x, ys[:, None] - y)
         share = self._share(outer - radius) - (self._share(inner - radius) if inner > 0 else 0)
@@ -105,7 +105,7 @@ class Canvas:
 
 
 def draw_face(layout: PanelLayout, per_mm: float) -> Picture:
-    """Return the printed face, (height * per_mm, width * per_mm, 3) BGR, without what stands proud of it."""
+    """Return the printed face, (height * per_mm, width * per_mm, 3) BGR, without protruding parts."""
     canvas = Canvas(layout.size_mm, per_mm, layout.colour)
     for item in layout.artwork:
         if isinstance(item, Rectangle):

@@ -1,4 +1,4 @@
-"""Renders the stereo pair: the still views, the live screen, a hand, the stylus, and the sensor's noise.
+"""Renders the stereo pair: the static views, the live screen, a hand, the stylus, and the sensor's noise.
 
 Per frame only the screen and the stylus are drawn; the rest comes from :class:`scope_bench.core.view.View`.
 """
@@ -7,52 +7,66 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
-from icu_common.core.geometry import Array, Transform
-from icu_common.core.panel_layout import Control, PanelLayout
+from icu_common.core.geometry.geometry import Array, Transform
+from icu_common.core.panel.panel_layout import Control, PanelLayout
 from scope_bench.core import screen
-from scope_bench.core.configuration import BenchConfig, CameraConfig, LightConfig, PanelConfig, StylusConfig
+from scope_bench.core.configuration import BenchConfig, LightConfig, PanelConfig, StylusConfig
 from scope_bench.core.instrument import InstrumentState
-from scope_bench.core.optics import StereoRig, stereo_rig, turn
+from scope_bench.core.optics import Rays, StereoRig, turn
 from scope_bench.core.panel_texture import Picture
 from scope_bench.core.solids import ControlState
 from scope_bench.core.stylus_picture import StylusPainter
-from scope_bench.core.view import SAMPLES, Rays, Surfaces, View, Window
+from scope_bench.core.view import SAMPLES, Surfaces, View, Window
+from scope_bench.imaging.configuration import ImagingConfig
+from scope_bench.imaging.motion import ShutterTimes, TipTrack, row_tips
+from scope_bench.imaging.rig import NO_SHIFTS, CameraShift, Drift, Shifts, true_rig
+from scope_bench.imaging.sensor import Sensor
+from scope_bench.manufacture.layout import manufactured
 
 GLARE_SHIFT_MM = 52.0
-"""The lamp's mirror image lies as far behind the panel as the lamp before it, so it wanders with the camera."""
+"""Shift of the lamp's reflection between the cameras: the mirror image is as far behind the panel as the lamp is in
+front of it."""
 _STILL_M = 1e-6
 _MOVED_SAMPLES = 2
-"""Samples per pixel and direction of a view that is drawn anew for each place of the carriage."""
+"""Samples per pixel and direction of a view that is redrawn for each position of the carriage."""
 _TILE = 256
 _GLOVE = np.array([190.0, 120.0, 62.0])
 
 
 def base_from_panel(config: PanelConfig, moved: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Transform:
-    """Return where the panel stands; ``moved`` is how it was pushed since: dx, dy in metres, turn in degrees."""
+    """Return the pose of the panel; ``moved`` is its displacement since: dx, dy in metres, rotation in degrees."""
     tilt_x, tilt_y = config.tilt_deg
     rotation = turn(2, config.yaw_deg + moved[2]) @ turn(1, tilt_y) @ turn(0, tilt_x)
     return Transform(rotation, np.asarray(config.position_m) + np.array([moved[0], moved[1], 0.0]))
 
 
 @functools.lru_cache(maxsize=1)
-def _cameras(config: CameraConfig) -> tuple[StereoRig, tuple[Rays, Rays]]:
-    """Return the pair and its viewing rays; those of the last pair are kept, they take most of a second."""
-    rig = stereo_rig(config)
+def _cameras(config: BenchConfig, shifts: Shifts) -> tuple[StereoRig, tuple[Rays, Rays]]:
+    """Return the true pair and its viewing rays; the last result is cached, as the rays take most of a second."""
+    rig = true_rig(config, shifts)
     return rig, (Rays(rig.left), Rays(rig.right))
+
+
+def _optics(config: BenchConfig) -> BenchConfig:
+    """Return the settings on which the geometry of the cameras depends."""
+    imaging = ImagingConfig(calibration=config.imaging.calibration, lens=config.imaging.lens)
+    return BenchConfig(camera=config.camera, seed=config.seed, imaging=imaging)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Moment:
-    """What is seen at one moment.
+    """Scene at one moment.
 
-    The ball's centre in base_link (metres), the instrument, sunken buttons (mm), and how far the carriage has moved in
-    base_link (metres), which cameras that are mounted on it move along, and whether it is moving.
+    Ball centre in base_link (metres), instrument state, sunken buttons (mm), displacement of the carriage in base_link
+    (metres), which cameras mounted on it follow, and whether the carriage is moving. ``track`` is the ball's path
+    around the exposure; without it the stylus is at rest.
     """
 
     tip: tuple[float, float, float]
@@ -61,15 +75,16 @@ class Moment:
     sunk_mm: tuple[tuple[str, float], ...] = ()
     carriage: tuple[float, float] = (0.0, 0.0)
     crossing: bool = False
+    track: TipTrack | None = None
 
 
 class Renderer:
-    """Draws both pictures of a pair.
+    """Draws both images of a pair.
 
     Parameters
     ----------
     layout
-        The panel.
+        The nominal panel; ``config`` has the deviations of the manufactured one.
     config
         The bench.
     panel_from
@@ -77,11 +92,13 @@ class Renderer:
     """
 
     def __init__(self, layout: PanelLayout, config: BenchConfig, panel_from: Transform) -> None:
-        self.layout = layout
-        self.rig, self._rays = _cameras(config.camera)
+        self.layout = layout = manufactured(layout, config.manufacture, config.seed)
+        self._shifts, self._drift = NO_SHIFTS, Drift(config.seed, config.camera.focal_px, config.camera.width_px)
+        self.rig, self._rays = _cameras(_optics(config), NO_SHIFTS)
         self._config = config
+        self._sensors = [Sensor(config, index) for index in (0, 1)]
         self._light = config.light
-        self._surfaces = Surfaces.of(layout)
+        self._surfaces = Surfaces.of(layout, config.manufacture, config.seed)
         self._panel_from = panel_from
         self._camera_xy, self._samples = (0.0, 0.0), SAMPLES
         self._sides = self._make_sides()
@@ -101,7 +118,10 @@ class Renderer:
         seen = Transform(self._panel_from.rotation, self._panel_from.translation - np.array([*self._camera_xy, 0.0]))
         place = (self._camera_xy, self._samples)
         return [
-            _Side(View(rays, seen, self.layout, self._surfaces, self._light, shift, *place), self._config.stylus)
+            _Side(
+                View(rays, seen, self.layout, self._surfaces, self._light, shift, *place, self._config.imaging.defocus),
+                self._config.stylus,
+            )
             for rays, shift in zip(self._rays, (0.0, GLARE_SHIFT_MM))
         ]
 
@@ -111,12 +131,17 @@ class Renderer:
         self.hide(hidden)
 
     def move_panel(self, panel_from: Transform) -> None:
-        """Put the panel elsewhere: ``base_from_panel``."""
+        """Move the panel to another pose, ``base_from_panel``."""
         self._panel_from = panel_from
         self._draw_anew()
 
+    def follow_panel(self, panel_from: Transform) -> None:
+        """Draw the panel in its present pose, ``base_from_panel``, if it has been moved since."""
+        if panel_from is not self._panel_from:
+            self.move_panel(panel_from)
+
     def _follow(self, carriage: tuple[float, float], samples: int) -> None:
-        """Let cameras on the carriage see from its place: coarsely while it moves, well when it stands."""
+        """Move cameras on the carriage along with it: coarse views while it moves, fine ones at rest."""
         here = np.abs(np.subtract(carriage, self._camera_xy)).max() <= _STILL_M
         if here and self._samples >= samples:
             return
@@ -128,33 +153,81 @@ class Renderer:
         self._config = dataclasses.replace(self._config, light=light)
         changed = light.noise != self._light.noise
         self._light = light
+        for sensor in self._sensors:
+            sensor.configure(self._config)
         for side in self._sides:
             side.relight(light)
         if changed:
             self._make_noise()
 
     def hide(self, rectangle_mm: tuple[float, float, float, float] | None) -> None:
-        """Lay a gloved hand over a rectangle (x, y, width, height) of the panel, or take it away."""
+        """Place a gloved hand over a rectangle (x, y, width, height) of the panel, or remove it."""
         for side in self._sides:
             side.hide(rectangle_mm)
 
+    def reimage(self, config: BenchConfig) -> None:
+        """Apply other camera effects; the states of drift and exposure stay."""
+        old, self._config = self._config, config
+        for sensor in self._sensors:
+            sensor.configure(config)
+        if (config.imaging.calibration, config.imaging.lens) != (old.imaging.calibration, old.imaging.lens):
+            self._set_cameras(self._shifts)
+        elif config.imaging.defocus != old.imaging.defocus:
+            self._draw_anew()
+
+    def knock(self, camera: str, shift: CameraShift) -> None:
+        """Rotate a camera, or shift its lens, from the next image on."""
+        self._drift.knock(camera, shift)
+
+    def settle(self, now_s: float) -> None:
+        """Move the cameras to their state at a time, by drift and knocks."""
+        shifts = self._drift.at(self._config.imaging, now_s)
+        if shifts != self._shifts:
+            self._set_cameras(shifts)
+
+    def _set_cameras(self, shifts: Shifts) -> None:
+        self._shifts = shifts
+        self.rig, self._rays = _cameras(_optics(self._config), shifts)
+        self._draw_anew()
+
     def render(self, moment: Moment) -> list[Picture]:
-        """Return the left and right picture, each (H, W, 3) BGR."""
-        if self._config.camera.mounting == "carriage":
-            self._follow(moment.carriage, _MOVED_SAMPLES if not moment.crossing else 1)
-            tip = np.asarray(moment.tip) - np.array([*self._camera_xy, 0.0])
-            moment = dataclasses.replace(moment, tip=tuple(tip.tolist()))
-        # Noise of its own for each moment: an image does not depend on those that were rendered before it.
-        rng = np.random.default_rng((self._config.seed, round(moment.now_s * 1e6)))
-        light = self._emission(moment, rng)
-        states = self._control_states(moment)
-        return [self._with_noise(side.draw(states, light, moment), rng) for side in self._sides]
+        """Return the left and right image of one moment, each (H, W, 3) BGR."""
+        return list(self.render_each({0: moment, 1: moment}).values())
+
+    def render_each(self, moments: Mapping[int, Moment]) -> dict[int, Picture]:
+        """Return the image, (H, W, 3) BGR, of each camera at its own moment; 0 is the left camera."""
+        result: dict[int, Picture] = {}
+        drawn_of: Moment | None = None
+        for index, given in moments.items():
+            moment = given
+            if drawn_of is None or moment.now_s != drawn_of.now_s:
+                self.settle(moment.now_s)
+                # Separate noise for each moment: an image does not depend on the images rendered before it.
+                rng = np.random.default_rng((self._config.seed, round(moment.now_s * 1e6)))
+                light, states, drawn_of = self._emission(moment, rng), self._control_states(moment), moment
+            if self._config.camera.mounting == "carriage":
+                self._follow(moment.carriage, _MOVED_SAMPLES if not moment.crossing else 1)
+                moment = self._seen_from_carriage(moment)
+            picture = self._sides[index].draw(states, light, moment, self._config.imaging)
+            sensor = self._sensors[index]
+            if not sensor.adds_noise:
+                picture = self._with_noise(picture, rng)
+            result[index] = sensor.develop(picture, moment.now_s)
+        return result
+
+    def _seen_from_carriage(self, moment: Moment) -> Moment:
+        """Return the moment with the stylus at the position that cameras on the carriage see."""
+        away = np.array([*self._camera_xy, 0.0])
+        track = moment.track
+        if track is not None:
+            track = dataclasses.replace(track, tips=track.tips - away)
+        return dataclasses.replace(moment, tip=tuple((np.asarray(moment.tip) - away).tolist()), track=track)
 
     def _control_states(self, moment: Moment) -> dict[str, ControlState]:
         sunk = dict(moment.sunk_mm)
         return {
             control.name: ControlState(
-                # Quarters of a millimetre, so that a button on its way is not drawn anew for every micrometre.
+                # Quarters of a millimetre, so that a moving button is not redrawn for every micrometre.
                 sunk_mm=round(sunk.get(control.name, 0.0) * 4) / 4,
                 angle_deg=round(moment.state.knob_deg(control.name), 1),
                 lamp=moment.state.lamp(control.name, control.lit_colour),
@@ -170,7 +243,7 @@ class Renderer:
             self._still_of, self._still = moment.state, screen.still_part(moment.state, size)
         noise = rng.standard_normal((2, 364))
         drawn = screen.with_traces(self._still, moment.state, moment.now_s, noise)
-        # One pixel of the picture covers almost two of the screen; the lens adds its blur.
+        # One pixel of the image covers almost two of the screen; the lens adds its blur.
         sigma = float(np.hypot(0.62, 1.8 * self._light.blur_px))
         return np.asarray(cv2.GaussianBlur(drawn, (0, 0), sigma))
 
@@ -249,7 +322,9 @@ class _Side:
         light = (shade * self.view.vignette[window])[..., None] * _GLOVE
         self._hand = window, share.reshape(*shape, 1), np.clip(light, 0, 255).astype(np.float32)
 
-    def draw(self, states: dict[str, ControlState], emission: Picture | None, moment: Moment) -> Picture:
+    def draw(
+        self, states: dict[str, ControlState], emission: Picture | None, moment: Moment, imaging: ImagingConfig
+    ) -> Picture:
         self.view.show(states)
         picture = self.view.picture.copy()
         tip = np.asarray(moment.tip)
@@ -258,16 +333,22 @@ class _Side:
             seen = cv2.remap(emission, self._maps[0], self._maps[1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
             seen = cv2.multiply(seen, self._screen_gain, scale=1 / 255)
             picture[self._screen] = cv2.add(picture[self._screen], seen)
+        if imaging.mirror.enabled and self._screen is not None:
+            self._stylus.reflect(picture, self._screen, tip, imaging.mirror.reflectance)
         if self._hand is not None:
             window, share, light = self._hand
             mixed = picture[window] * (1 - share) + light * share
             picture[window] = np.rint(mixed).astype(np.uint8)
-        self._stylus.draw(picture, tip)
+        if moment.track is not None and moment.track.moves:
+            rows = row_tips(moment.track, ShutterTimes.of(imaging), picture.shape[0])
+            self._stylus.draw_moving(picture, rows)
+        else:
+            self._stylus.draw(picture, tip)
         return picture
 
 
 def control_pixels(view: View, layout: PanelLayout) -> dict[str, dict[str, list[list[float]] | list[float]]]:
-    """Return where each control is seen, in raw pixels: ``centre`` and outline of its face at its full height.
+    """Return the image position of each control in raw pixels: ``centre`` and outline of its face at its full height.
 
     ``base_centre`` is the same point on the panel's face.
     """

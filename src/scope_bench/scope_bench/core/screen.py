@@ -5,9 +5,9 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from icu_common.core.geometry import Array
-from icu_common.core.panel_layout import rgb
-from icu_common.core.stroke_font import text_strokes
+from icu_common.core.geometry.geometry import Array
+from icu_common.core.panel.panel_layout import rgb
+from icu_common.core.panel.stroke_font import text_strokes
 from scope_bench.core.instrument import (
     MENU_LEFT_SHARE,
     MENUS,
@@ -20,7 +20,7 @@ from scope_bench.core.instrument import (
 from scope_bench.core.panel_texture import Picture
 
 SIZE_PX = (816, 504)
-"""Width and height of every screen; one of another size shows the same picture, larger or smaller."""
+"""Width and height of the drawn screen; a screen of another size shows the same picture, scaled."""
 DIVISIONS = (14, 8)
 DIVISION_PX = 52
 LEFT_PX, TOP_PX = 22, 44
@@ -34,7 +34,7 @@ def _colour(value: str) -> tuple[int, int, int]:
 
 
 def _strokes(picture: Picture, lines: list[Array], colour: str, thickness: int = 1) -> None:
-    # A dot is a line without length, which cv2 does not draw.
+    # A dot is a line of length 0, which cv2 does not draw.
     lines = [line + [[0, 0], [0.7, 0]] if len(line) == 2 and (line[0] == line[1]).all() else line for line in lines]
     points = [np.round(line * (1 << _SHIFT)).astype(np.int32) for line in lines]
     cv2.polylines(picture, points, False, _colour(colour), thickness, cv2.LINE_AA, _SHIFT)
@@ -56,7 +56,7 @@ def _box(picture: Picture, text: str, left: float, middle: float, fill: str, ink
 
 
 def still_part(state: InstrumentState, size: tuple[int, int]) -> Picture:
-    """Draw what changes only with the state; ``size`` is (width, height) in pixels."""
+    """Draw the parts that change only with the state; ``size`` is (width, height) in pixels."""
     width, height = size
     picture = np.zeros((height, width, 3), np.uint8)
     picture[:] = (16, 10, 6)
@@ -100,7 +100,7 @@ def still_part(state: InstrumentState, size: tuple[int, int]) -> Picture:
 
 
 def with_traces(still: Picture, state: InstrumentState, now_s: float, noise: Array) -> Picture:
-    """Return a copy of :func:`still_part` with the traces as they look at ``now_s``, and what lies above them.
+    """Return a copy of :func:`still_part` with the traces at ``now_s``, and the parts above them.
 
     Parameters
     ----------
@@ -111,7 +111,7 @@ def with_traces(still: Picture, state: InstrumentState, now_s: float, noise: Arr
     moment = now_s if state.running else state.phase_s
     share = np.linspace(0, 1, noise.shape[1])
     # The picture's own time: divisions from the middle of the screen. The screen shows a 1 kHz calibration square and a
-    # sine, drawn at the chosen scale; beyond what the eye can follow it is drawn as fast as 40 periods per screen.
+    # sine, drawn at the chosen scale; above 40 periods per screen, too fast for the eye, it is drawn with 40.
     per_division = SECONDS_PER_DIVISION[state.time_index]
     time = ((share - 0.5) * DIVISIONS[0] - state.time_position_div) * per_division
     rolling = 0.9 * moment

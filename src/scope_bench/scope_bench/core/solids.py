@@ -1,7 +1,7 @@
-"""What stands proud of the panel, by casting rays: controls as upright prisms with side walls, shaded and antialiased.
+"""Ray casting of the panel's protruding parts: controls as upright prisms with side walls, shaded and antialiased.
 
-Everything is in panel millimetres. A viewing ray is given by where it meets height 0, ``xy0``, and by how far it moves
-sideways per millimetre of height, ``lean``: at height h it is at ``xy0 + lean * h``.
+Everything is in panel millimetres. A viewing ray is given by its point at height 0, ``xy0``, and by its sideways shift
+per millimetre of height, ``lean``: at height h it is at ``xy0 + lean * h``.
 """
 
 from __future__ import annotations
@@ -11,20 +11,20 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from icu_common.core.geometry import Array
-from icu_common.core.panel_layout import Control
+from icu_common.core.geometry.geometry import Array
+from icu_common.core.panel.panel_layout import Control
 from scope_bench.core.panel_texture import bgr
 
 LAMP_DIRECTION = np.array([-0.5, 0.866])
-"""Where the light comes from, in the panel's plane: above and a little left."""
+"""Direction towards the light in the plane of the panel: above and slightly left."""
 SHADOW_REACH = 0.45
-"""How far a shadow falls per height."""
+"""Length of a shadow per height."""
 Mask = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ControlState:
-    """How a control stands: sunk by so many mm, turned by so many degrees, its lamp's colour or ""."""
+    """State of a control: depth in mm, rotation in degrees, colour of its lamp or ""."""
 
     sunk_mm: float = 0.0
     angle_deg: float = 0.0
@@ -33,7 +33,7 @@ class ControlState:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Hit:
-    """What rays find on a prism, all of one shape (...,): which part, where, and the wall's outward direction."""
+    """Intersections of rays with a prism, all of one shape (...,): part, position, outward direction of the wall."""
 
     top: Mask
     wall: Mask
@@ -48,7 +48,7 @@ def cast(control: Control, top_mm: float, bottom_mm: float, xy0: tuple[Array, Ar
     """Intersect rays with the prism between two heights; coordinates come back relative to the control's centre."""
     cx, cy = control.position_mm
     top_x, top_y = xy0[0] + lean[0] * top_mm - cx, xy0[1] + lean[1] * top_mm - cy
-    # From the top's height downwards: (dx, dy) is the way to the bottom's height.
+    # From the top's height downwards: (dx, dy) is the displacement down to the bottom's height.
     dx, dy = lean[0] * (bottom_mm - top_mm), lean[1] * (bottom_mm - top_mm)
     if control.shape == "circle":
         radius = control.size_mm[0] / 2
@@ -85,7 +85,7 @@ def cast(control: Control, top_mm: float, bottom_mm: float, xy0: tuple[Array, Ar
 
 
 def paint(control: Control, state: ControlState, hit: Hit) -> tuple[Array, Array]:
-    """Return reflected and emitted light, (..., 3) BGR 0 to 255, where ``hit`` is on the control."""
+    """Return reflected and emitted light, (..., 3) BGR 0 to 255, at the hits on the control."""
     light = np.clip(hit.normal_x * LAMP_DIRECTION[0] + hit.normal_y * LAMP_DIRECTION[1], -1, 1)
     painter = {"knob": _knob, "connector": _connector}.get(control.kind, _button)
     return painter(control, state, hit, light)
@@ -109,7 +109,7 @@ def _button(control: Control, state: ControlState, hit: Hit, light: Array) -> tu
         centre = np.exp(-((hit.x / half[0]) ** 2 + (hit.y / half[1]) ** 2))[..., None]
         emitted = glow * (0.8 * lamp + 60 * centre * (lamp / 255 + 0.25))
     elif control.lit_colour:
-        # The dark lens of a lamp that is off keeps a hint of its colour.
+        # The dark lens of an unlit lamp keeps a hint of its colour.
         inside = (hit.top & ~near_edge)[..., None]
         reflected = np.where(inside, reflected * 0.62 + 0.12 * bgr(control.lit_colour), reflected)
     return reflected, emitted
@@ -129,12 +129,12 @@ def _knob(control: Control, state: ControlState, hit: Hit, light: Array) -> tupl
     along = -hit.x * np.sin(angle) + hit.y * np.cos(angle)
     across = hit.x * np.cos(angle) + hit.y * np.sin(angle)
     if control.dimple is not None:
-        # Its bottom lies in its own shade, which a light from one side does not fill.
+        # The bottom is in the dimple's own shadow, which a light from one side does not reach.
         inside = np.hypot(across - control.dimple.place_mm[0], along - control.dimple.place_mm[1])
         top_gain = np.where(inside < control.dimple.diameter_mm / 2, 0.9 * top_gain, top_gain)
     gain = np.where(hit.top, top_gain, wall_gain)
     reflected = gain[..., None] * bgr(control.colour)
-    # The pointer: a white line from the middle towards the rim, up when the knob stands at 0.
+    # The pointer: a white line from the middle towards the rim, up if the knob is at 0.
     pointer = hit.top & (np.abs(across) < 0.085 * radius + 0.25) & (along > 0.3 * radius) & (along < 0.8 * radius)
     reflected = np.where(pointer[..., None], np.array([236.0, 238.0, 236.0]), reflected)
     return reflected, np.zeros_like(reflected)

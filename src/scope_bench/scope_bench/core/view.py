@@ -1,8 +1,8 @@
-"""What one camera sees of the bench at rest: the still scene, drawn once per state of the panel and kept.
+"""View of one camera on the bench at rest: the static scene, drawn once per state of the panel and kept.
 
-The printed face is sampled sixteen times per pixel through the exact ray of each sample, so an edge lies in the picture
-where the projection puts it. Controls are cast as solids into pictures of their own and laid over the face from far to
-near; when one of them moves, only its surroundings are composed anew.
+The printed face is sampled sixteen times per pixel through the exact ray of each sample, so edges in the image are
+exactly at their projected positions. Controls are cast as solids into separate images and composed over the face from
+far to near; when one of them moves, only its surroundings are composed again.
 """
 
 from __future__ import annotations
@@ -16,27 +16,33 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from icu_common.core.geometry import Array, Transform
-from icu_common.core.panel_layout import Control, PanelLayout
+from icu_common.core.geometry.geometry import Array, Transform
+from icu_common.core.panel.panel_layout import Control, PanelLayout
 from scope_bench.core.configuration import LightConfig
-from scope_bench.core.optics import Camera
+from scope_bench.core.optics import Camera, Rays
 from scope_bench.core.panel_texture import Canvas, Picture, draw_face
 from scope_bench.core.solids import LAMP_DIRECTION, SHADOW_REACH, ControlState, cast, paint
+from scope_bench.imaging.configuration import DefocusConfig
+from scope_bench.imaging.focus import Focus, blurred
+from scope_bench.manufacture.age import aged
+from scope_bench.manufacture.configuration import ManufactureConfig
 
 FACE_PER_MM = 12.0
+EXACT = ManufactureConfig()
 SAMPLES = 4
 """Samples per pixel and direction."""
 CASE_MM = 30.0
-"""Depth of the instrument's case below its face."""
+"""Depth of the instrument's case below its face in mm."""
 _STRIP = 90
+SHARP = DefocusConfig()
 Window = tuple[slice, slice]
 _grounds: OrderedDict[Any, npt.NDArray[np.float32]] = OrderedDict()
-"""Of the last two views."""
+"""Grounds of the last two views."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Sprite:
-    """A control's picture: where, how much of each pixel it covers, and its reflected and emitted light, weighted."""
+    """Image of a control: window, coverage of each pixel, and its weighted reflected and emitted light."""
 
     window: Window
     share: npt.NDArray[np.float32]
@@ -44,26 +50,9 @@ class Sprite:
     emitted: npt.NDArray[np.float32]
 
 
-class Rays:
-    """The viewing rays of a camera through its pixels' centres; they stay when the panel moves.
-
-    ``lean`` (2, H, W) is how far a ray moves along x and y of base_link per metre downwards; ``eye`` (3,) is where all
-    begin, in metres in base_link.
-    """
-
-    def __init__(self, camera: Camera) -> None:
-        v, u = np.mgrid[0 : camera.height, 0 : camera.width].astype(np.float64)
-        a, b = camera.slopes(u, v)
-        direction = camera.camera_from_base.rotation.T @ np.stack([a.ravel(), b.ravel(), np.ones(a.size)])
-        self.camera = camera
-        self.eye = camera.position
-        self.lean: Array = (direction[:2] / -direction[2]).reshape(2, camera.height, camera.width)
-        self.lean.flags.writeable = False
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Surfaces:
-    """What is drawn once for a layout: the printed face, the controls' shadows on it, the table, the case's shadow."""
+    """Parts drawn once for a layout: the printed face, the controls' shadows on it, the table, the case's shadow."""
 
     face: Picture
     face_shadow: npt.NDArray[np.float32]
@@ -72,10 +61,21 @@ class Surfaces:
 
     @classmethod
     @functools.lru_cache(maxsize=2)
-    def of(cls, layout: PanelLayout) -> Surfaces:
-        """Draw them; drawing takes about a second, so the last ones are kept."""
+    def of(cls, layout: PanelLayout, manufacture: ManufactureConfig = EXACT, seed: int = 0) -> Surfaces:
+        """Draw the surfaces; drawing takes about a second, so the last ones are kept.
+
+        Parameters
+        ----------
+        layout
+            The panel as manufactured.
+        manufacture, seed
+            Ageing of the panel.
+        """
+        age = manufacture.age
         return cls(
-            face=draw_face(layout, FACE_PER_MM),
+            face=aged(layout, age, seed, FACE_PER_MM, draw_face)
+            if manufacture.enabled
+            else draw_face(layout, FACE_PER_MM),
             face_shadow=_face_shadow(layout),
             table=_table(),
             table_shadow=_table_shadow(layout),
@@ -83,14 +83,14 @@ class Surfaces:
 
 
 class View:
-    """The still scene of one camera.
+    """The static scene of one camera.
 
     Parameters
     ----------
     rays
         The camera's rays.
     base_from_panel
-        Where the panel stands.
+        Pose of the panel.
     layout
         The panel.
     surfaces
@@ -98,12 +98,14 @@ class View:
     light
         Light, lens and sensor.
     glare_shift_mm
-        How far this camera sees the lamp's reflection from where ``light`` has it, along x.
+        Shift along x of the lamp's reflection in this camera from its position in ``light``.
     camera_xy
-        (2,) metres: how far the camera has moved from where ``rays`` begin. Everything is drawn as the camera sees it,
-        so ``base_from_panel`` is the panel's place less this; only the table needs to know it.
+        (2,) metres: displacement of the camera from the origin of ``rays``. Everything is drawn relative to the camera,
+        so ``base_from_panel`` is the panel's pose minus this; only the table needs the value.
     samples
         Samples per pixel and direction.
+    defocus
+        Blur of the lens by distance.
     """
 
     def __init__(
@@ -116,8 +118,10 @@ class View:
         glare_shift_mm: float,
         camera_xy: tuple[float, float] = (0.0, 0.0),
         samples: int = SAMPLES,
+        defocus: DefocusConfig = SHARP,
     ) -> None:
         self.rays = rays
+        self._defocus = defocus
         self._camera_xy, self._samples = np.asarray(camera_xy), samples
         self.camera = camera = rays.camera
         self.layout = layout
@@ -142,7 +146,7 @@ class View:
         self.relight(light)
 
     def show(self, states: dict[str, ControlState]) -> None:
-        """Bring the controls into these states; what is not named keeps its own."""
+        """Set the controls to these states; controls that are not named keep theirs."""
         for control in self._proud:
             state = states.get(control.name, self._states[control.name])
             if state != self._states[control.name]:
@@ -154,6 +158,8 @@ class View:
     def relight(self, light: LightConfig) -> None:
         """Change light, blur or glare; noise is added by the caller."""
         self.light = light
+        self.focus = Focus.of(light.blur_px, self.camera.focal_px, self._defocus)
+        self._sigma = self.focus.over_image(self.xy0, lambda xyz: self.depth_m(self.base_from_panel.apply(xyz / 1000)))
         self.vignette = self._draw_vignette()
         x, y = self.xy0
         centre_x, centre_y = (side / 2 for side in self.layout.size_mm)
@@ -171,31 +177,35 @@ class View:
         return self.camera.project(self.base_from_panel.apply(points))
 
     def window_of_panel(self, points_mm: npt.ArrayLike, margin: int = 2) -> Window:
-        """Return the pixels that enclose the panel points, clipped to the picture."""
+        """Return the pixels that enclose the panel points, clipped to the image."""
         pixels = self.pixel_of_panel(points_mm)
         return window_around(pixels, margin, self.camera)
 
     def samples(self, grid: Array, window: Window, count: int = SAMPLES) -> Array:
-        """Interpolate (..., H, W) values, smooth over the picture, at ``count`` squared points of each pixel."""
+        """Interpolate (..., H, W) values, smooth over the image, at ``count`` squared points of each pixel."""
         rows, columns = window
         r0, r1 = max(rows.start - 1, 0), min(rows.stop + 1, grid.shape[-2])
         c0, c1 = max(columns.start - 1, 0), min(columns.stop + 1, grid.shape[-1])
         part = grid[..., r0:r1, c0:c1].reshape(-1, r1 - r0, c1 - c0)
         size = ((c1 - c0) * count, (r1 - r0) * count)
-        # cv2.resize puts the samples where they belong: sample i of n lies (i + 0.5) / n - 0.5 from a pixel's centre.
+        # cv2.resize positions the samples correctly: sample i of n is (i + 0.5) / n - 0.5 from a pixel's centre.
         large: Array = np.stack([cv2.resize(layer, size, interpolation=cv2.INTER_LINEAR) for layer in part])
         top, left = (rows.start - r0) * count, (columns.start - c0) * count
         height, width = (rows.stop - rows.start) * count, (columns.stop - columns.start) * count
         return large[:, top : top + height, left : left + width]
 
     def _draw_vignette(self) -> npt.NDArray[np.float32]:
-        """Return (H, W), the share of light that the lens lets through."""
+        """Return the share of light that the lens transmits, (H, W)."""
         v, u = np.mgrid[0 : self.camera.height, 0 : self.camera.width].astype(np.float64)
         radius2 = ((u - self.camera.width / 2) ** 2 + (v - self.camera.height / 2) ** 2) / (self.camera.width / 2) ** 2
         return np.asarray(1 - self.light.vignetting * np.clip(radius2 / 1.3, 0, 1.2), dtype=np.float32)
 
+    def depth_m(self, points_base: Array) -> Array:
+        """Return the depth of (..., 3) points in base_link along the camera's axis."""
+        return np.asarray((points_base - self.rays.eye) @ self.camera.camera_from_base.rotation[2])
+
     def _kept_ground(self, surfaces: Surfaces) -> npt.NDArray[np.float32]:
-        """Return the ground, drawn only if it is none of the last two: those of a pair stay for the next pair."""
+        """Return the ground, redrawn only if it is not one of the last two: those of a pair serve the next pair."""
         arrays = (self.base_from_panel.rotation, self.base_from_panel.translation, self._camera_xy)
         key = (self.rays, surfaces, self._samples, *(array.tobytes() for array in arrays))
         ground = _grounds.get(key)
@@ -205,7 +215,7 @@ class View:
             while len(_grounds) > 1:
                 _grounds.popitem(last=False)
             _grounds[key] = ground
-        return ground  # not looked up again: a bench in another thread may have replaced it meanwhile
+        return ground  # no second lookup: a bench in another thread may have replaced it meanwhile
 
     def _draw_ground(self, surfaces: Surfaces) -> npt.NDArray[np.float32]:
         """Draw the face, the case's sides and the table: (H, W, 3) reflected light under even lighting."""
@@ -233,7 +243,7 @@ class View:
         return result
 
     def _lay_case(self, ground: npt.NDArray[np.float32], surfaces: Surfaces, window: Window) -> None:
-        """Lay what is seen of the face and of the case's sides in a window over the ground."""
+        """Draw the visible parts of the face and of the case's sides in a window over the ground."""
         size = (window[1].stop - window[1].start, window[0].stop - window[0].start)
         face_width, face_height = self.layout.size_mm
         x, y = self.samples(self.xy0, window, self._samples).astype(np.float32)
@@ -281,8 +291,9 @@ class View:
         return Sprite(window=window, share=small[..., None], reflected=gathered(reflected), emitted=gathered(emitted))
 
     def _compose(self, window: Window) -> None:
-        """Lay the controls over the ground, light and blur the result, and put it into ``picture``."""
-        pad = int(np.ceil(3 * self.light.blur_px)) + 1
+        """Compose the controls over the ground, light and blur the result, and store it in ``picture``."""
+        widest = self.light.blur_px if self._sigma is None else float(self._sigma.max())
+        pad = int(np.ceil(3 * widest)) + 1
         outer = _grown(window, pad, self.camera)
         reflected = self._ground[outer].copy()
         emitted = np.zeros_like(reflected)
@@ -296,7 +307,9 @@ class View:
             emitted[here] = emitted[here] * (1 - sprite.share[there]) + sprite.emitted[there]
         lit = reflected * self._gain[outer] + emitted * self.vignette[outer][..., None] + self._glare[outer]
         lit = np.clip(lit, 0, 255).astype(np.float32)
-        if self.light.blur_px > 0:
+        if self._sigma is not None:
+            lit = blurred(lit, self._sigma[outer], self._sigma)
+        elif self.light.blur_px > 0:
             lit = cv2.GaussianBlur(lit, (0, 0), self.light.blur_px)
         inner = _relative(window, outer)
         self.picture[window] = np.rint(lit[inner]).astype(np.uint8)
@@ -309,7 +322,7 @@ def _case_points(size_mm: tuple[float, float]) -> Array:
 
 
 def window_around(pixels: Array, margin: int, camera: Camera) -> Window:
-    """Return the slices (rows, columns) around (N, 2) pixels, clipped to the picture; at least one pixel."""
+    """Return the slices (rows, columns) around (N, 2) pixels, clipped to the image; at least one pixel."""
     low, high = np.floor(pixels.min(axis=0)) - margin, np.ceil(pixels.max(axis=0)) + margin + 1
     c0, c1 = (int(np.clip(v, 0, camera.width)) for v in (low[0], high[0]))
     r0, r1 = (int(np.clip(v, 0, camera.height)) for v in (low[1], high[1]))
@@ -343,7 +356,7 @@ _SHADOW_BORDER = 100
 
 
 def _table() -> Picture:
-    """Draw the mat under the instrument; its upper left corner lies at (_TABLE_LEFT, _TABLE_TOP) mm in base_link."""
+    """Draw the mat under the instrument; its upper left corner is at (_TABLE_LEFT, _TABLE_TOP) mm in base_link."""
     canvas = Canvas((_TABLE_SIDE, _TABLE_SIDE), _TABLE_PER_MM, "#39443f")
     for i in range(45):
         colour, line = ("#566660", 0.9) if i % 5 == 0 else ("#45524c", 0.5)

@@ -1,1 +1,1 @@
-"""What is taken out of a bag for other programs: tables, images, datasets for learning, recordings to look at."""
+"""Export of bags for other programs: tables, images, datasets for learning, recordings for viewers."""

@@ -1,4 +1,4 @@
-"""Node that publishes a bag's messages as they were serialized, unpacked pictures included."""
+"""Node that publishes a bag's messages in their serialized form, including unpacked images."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Trigger
 
 from icu_common.nodes import qos
-from icu_common.nodes.conversions import time_message
 from icu_common.nodes.graph_node import GraphNode
-from scope_bench.adapters.bag_pictures import BESIDE, COMPRESSED, IMAGE, SUFFIX, PictureCodec
-from scope_bench.adapters.bags import BagTopic
+from icu_common.nodes.messages.heads import time_message
+from scope_bench.adapters.bag.bag_pictures import BESIDE, COMPRESSED, IMAGE, SUFFIX, PictureCodec
+from scope_bench.adapters.bag.bags import BagTopic
 from scope_bench.nodes.bag_qos import message_class, playing_qos
 
 _LAST_WORDS = Duration(seconds=2)
@@ -23,9 +23,9 @@ MOVING = (
     *("gantry/goal", "gantry/command", "gantry/sequence", "gantry/trajectory", "gantry/stop_request"),
     *("operator/heartbeat", "panel/teach/request"),
 )
-"""Topics that move a machine, let it move, or make it write down a panel."""
+"""Topics that move a machine, allow it to move, or make it store a panel."""
 ASIDE = {"gantry/trajectory": "gantry/recorded_trajectory"}
-"""What is played under another name instead: a page shows it, and no driver listens there."""
+"""Topics played under another name: a page shows them, and no driver subscribes to that name."""
 
 
 class BagPlayer(GraphNode):
@@ -34,17 +34,17 @@ class BagPlayer(GraphNode):
     Parameters
     ----------
     topics
-        What is played.
+        Topics to play.
     unpack
-        Publish pictures that were recorded compressed as ``Image`` on the topic that they came from.
+        Publish images that were recorded compressed as ``Image`` on their original topic.
     twice
-        Topics whose pictures were recorded as they are, too: there those that are compressed stay so.
+        Topics whose images were also recorded raw: their compressed images stay compressed.
     in_step
-        Let nothing be lost, and offer /clock from the start.
+        Lose no message, and offer /clock from the start.
     aside
         Publish topics in ASIDE under their other names.
     toggle
-        Called by the service ``toggle_paused``; returns whether it is paused now.
+        Called by the service ``toggle_paused``; returns whether playback is now paused.
     """
 
     def __init__(
@@ -61,7 +61,7 @@ class BagPlayer(GraphNode):
         super().__init__("bag_player", **options)
         self._codec = PictureCodec()
         self._packed: set[str] = set()
-        # Not the name that rclpy keeps its own publishers under.
+        # Not the name of rclpy's own list of publishers.
         self._outputs: dict[str, Any] = {}
         self._clock_out: Any = self.create_publisher(Clock, "/clock", qos.RESULTS) if in_step else None
         topics = list(topics)
@@ -91,7 +91,7 @@ class BagPlayer(GraphNode):
         self._clock_out.publish(Clock(clock=time_message(bag_ns)))
 
     def play(self, topic: str, data: bytes) -> str:
-        """Publish one message and return the topic's absolute name; raises ValueError for a broken picture."""
+        """Publish one message and return the topic's absolute name; raises ValueError for a broken image."""
         output = self._outputs[topic]
         if topic in self._packed:
             try:
@@ -102,14 +102,14 @@ class BagPlayer(GraphNode):
         return str(output.topic_name)
 
     def others(self, topic: str) -> str:
-        """Return the name that a topic has here if others publish it, else an empty text."""
+        """Return a topic's name here if other programs publish it, otherwise an empty text."""
         name = self.resolve_topic_name(topic)
         mine = [output for output in self._outputs.values() if output.topic_name == name]
         return name if self.count_publishers(name) > len(mine) else ""
 
     @property
     def places(self) -> set[PurePosixPath]:
-        """Every namespace that a topic which is played lies in."""
+        """All namespaces of the played topics."""
         return {place for output in self._outputs.values() for place in PurePosixPath(output.topic_name).parents}
 
     @property

@@ -24,7 +24,7 @@ _LARGE = (
     "stereo_msgs/msg/DisparityImage",
 )
 _HEARD, _HEARD_LARGE = 1000, _DEPTH
-"""So many messages wait for a recorder that is held up; of what is large there is no memory for more."""
+"""Queue depths of a delayed recorder, for small and for large messages; memory allows no more large ones."""
 
 
 def message_class(name: str) -> Any:
@@ -40,7 +40,7 @@ def message_class(name: str) -> Any:
 
 
 def recorded_qos(profile: QoSProfile) -> Qos:
-    """Return a publisher's profile as bags keep it."""
+    """Return a publisher's profile in the form of bags."""
 
     def time(duration: Duration) -> QosTime:
         return QosTime(*divmod(duration.nanoseconds, 1_000_000_000))
@@ -59,12 +59,12 @@ def recorded_qos(profile: QoSProfile) -> Qos:
 
 
 def is_large(kind: str) -> bool:
-    """Return whether messages of ``package/msg/Name`` are pictures or clouds."""
+    """Return whether messages of ``package/msg/Name`` are images or clouds."""
     return kind in _LARGE
 
 
 def listening_qos(kind: str, offers: Sequence[QoSProfile]) -> QoSProfile:
-    """Return what a recorder asks for: the strictest that all publishers of a topic offer, as ros2 bag does.
+    """Return a recorder's request: the strictest profile that all publishers of a topic offer, as in ros2 bag.
 
     ``kind`` is ``package/msg/Name``.
     """
@@ -79,12 +79,12 @@ def listening_qos(kind: str, offers: Sequence[QoSProfile]) -> QoSProfile:
 
 
 def playing_qos(offers: Sequence[Qos]) -> QoSProfile:
-    """Return what a player offers: what all of the recorded publishers offered, else reliable and volatile.
+    """Return a player's offer: that of all recorded publishers, otherwise reliable and volatile.
 
     The player replaces all publishers: for late subscribers it keeps as many messages as they kept together.
 
-    Bags of Jazzy do not know the publishers' history; a depth of 50 takes its place. Volatile topics have no less:
-    nobody can tell the difference, but what is played faster than it was recorded arrives whole.
+    Bags of Jazzy do not contain the publishers' history; a depth of 50 replaces it. Volatile topics have at least this
+    depth: subscribers cannot detect the difference, but messages played faster than recorded arrive completely.
     """
     same = offers[0] if len(set(offers)) == 1 else None
     if same is None:

@@ -16,29 +16,29 @@ from rclpy.subscription import Subscription
 
 from icu_common.nodes.graph_node import CLOCK_TOPIC, GraphNode, this_process
 from icu_common.nodes.timers import runs_by_clock_topic
+from scope_bench.adapters.bag.bag_sink import BagSink
+from scope_bench.adapters.bag.bags import BagTopic
 from scope_bench.adapters.bag.definitions import is_known
-from scope_bench.adapters.bag_sink import BagSink
-from scope_bench.adapters.bags import BagTopic
 from scope_bench.core.bag.account import Account
 from scope_bench.nodes.bag_qos import is_large, message_class, recorded_qos
 from scope_bench.nodes.topic_ear import TopicEar
 
 _LOOK_S, _TAKE_S = 0.1, 0.02
 _TAKE_IN_STEP_S = 0.002
-"""The time of a graph that runs in step stands still until its messages have been taken."""
+"""Seconds between two takes in a graph that runs in step, whose time waits until its messages have been taken."""
 _LEAST_QUIET_S = 0.5
 _LARGE_AT_ONCE, _SMALL_AT_ONCE = 4, 1000
 """Maximum number of messages taken from a topic before the other topics have their turn."""
 
 
 class BagRecorder(GraphNode):
-    """Records ``topics``, or all; a name that matches ``exclude`` is left out.
+    """Records ``topics``, or all topics except names that match ``exclude``.
 
-    Messages are never unpacked. They are stamped with the time at which they came, however much later they are taken:
-    so nobody serves their subscriptions, as an executor does not tell that time. Pictures and clouds come by sockets of
-    their own: a recorder that is held up for a twentieth of a second has lost some of them, and with them, in the same
-    buffer, orders and states that nobody sends a second time. Those sockets belong to a context of its own, which takes
-    ``arguments`` (``--ros-args --enclave ...``). The ``account`` gets the messages that are not recorded.
+    Messages are never unpacked. Their stamp is the time of reception, however much later they are taken. Therefore no
+    executor serves their subscriptions, as an executor does not report that time. Images and clouds use separate
+    sockets: a recorder delayed by a twentieth of a second loses some of them. In a shared buffer it would also lose
+    orders and states that are sent only once. Those sockets belong to a separate context, which takes ``arguments``
+    (``--ros-args --enclave ...``). The ``account`` gets the messages that are not recorded.
     """
 
     def __init__(
@@ -81,14 +81,14 @@ class BagRecorder(GraphNode):
 
     @property
     def missing(self) -> list[str]:
-        """Topics that were asked for and that nobody publishes yet."""
+        """Requested topics that no program publishes yet."""
         return [name for name in self._topics if name not in self.recorded | self._ignored]
 
     @property
     def listens(self) -> bool:
-        """Whether what is published now is recorded: all topics that were asked for are heard.
+        """Whether messages published now are recorded: all requested topics have matched subscriptions.
 
-        Of all there are, those that have been found, and no more will be, most likely.
+        Without requested topics: all topics found so far are matched, and most likely no more will be found.
         """
         heard = all(ear.matched for ear in self._heard.values())
         if self._topics:
@@ -97,22 +97,22 @@ class BagRecorder(GraphNode):
         return heard and quiet_s >= max(_LEAST_QUIET_S, self._found_s - self._begun_s)
 
     def take(self) -> int:
-        """Hand over what has come, and return how much that is; there may be more pictures and clouds."""
+        """Store the received messages, and return their number; more images and clouds may be waiting."""
         found: list[tuple[int, str, bytes, Callable[[bytes], None]]] = []
         clock = self.get_clock()
         if clock.ros_time_is_active and not clock.now().nanoseconds:
-            return 0  # what has come waits for the first time on /clock
+            return 0  # received messages wait for the first time on /clock
         for name, ear in self._heard.items():
             for received_ns, data, done in ear.take():
                 came_ns = 0 if clock.ros_time_is_active else received_ns  # 0: CycloneDDS's
                 found.append((came_ns or clock.now().nanoseconds, name, data, done))
         for stamp_ns, name, data, done in sorted(found, key=lambda one: one[0]):
             self._sink.put(name, stamp_ns, data)
-            done(data)  # by which a player in step knows
+            done(data)  # informs a player in step
         return len(found)
 
     def destroy_node(self) -> None:
-        """End it, and what listens for it."""
+        """Destroy the node and its subscriptions."""
         self._heard.clear()
         for ear in (self._small, self._large):
             ear.destroy_node()
@@ -120,9 +120,9 @@ class BagRecorder(GraphNode):
         super().destroy_node()
 
     def look(self) -> None:
-        """Subscribe to what has appeared, and follow the clock of a simulation."""
+        """Subscribe to new topics, and follow the clock of a simulation."""
         if not runs_by_clock_topic(self) and self.count_publishers(self.resolve_topic_name(CLOCK_TOPIC)):
-            # Stamps of the system's time would be ahead of those in the messages, by as much as the simulation is slow.
+            # Stamps of the system time would be ahead of those in the messages, by the delay of the simulation.
             self.set_parameters([Parameter("use_sim_time", value=True)])
         for name, kinds in self.get_topic_names_and_types():
             wanted = name in self._topics if self._topics else not (self._exclude and self._exclude.search(name))
@@ -135,7 +135,7 @@ class BagRecorder(GraphNode):
                 self._follow(name, ear)
 
     def _follow(self, name: str, ear: TopicEar) -> None:
-        """Subscribe to publishers of another QoS, and name those of another type."""
+        """Subscribe to publishers of another QoS, and report those of another type."""
         publishers = self.get_publishers_info_by_topic(name)
         for kind in {one.topic_type for one in publishers if one.topic_type != ear.kind}:
             if (name, kind) not in self._other_types:

@@ -13,10 +13,11 @@ import numpy.typing as npt
 from sensor_msgs.msg import Image
 from std_msgs.msg import String
 
-from icu_common.core.config import Config, ConfigError, setting
+from icu_common.core.configuration.config import Config, ConfigError, setting
 from icu_common.nodes import qos
-from icu_common.nodes.conversions import image_array, stamp_ns
 from icu_common.nodes.graph_node import GraphNode
+from icu_common.nodes.messages.cameras import image_array
+from icu_common.nodes.messages.heads import stamp_ns
 from icu_common.nodes.newest import NewestSubscription
 from icu_common.nodes.parameters import LiveParameters
 from icu_common.nodes.runtime import run
@@ -40,12 +41,12 @@ _BED = re.compile(r"(?P<name>[a-zA-Z]\w*)(=(?P<url>https?://\S+))?")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BedsConfig(Config):
-    """Which robots are shown, and where."""
+    """Robots that the page shows, and its port."""
 
     beds: tuple[str, ...] = setting(
-        ("bed_1", "bed_2"), "Namespaces, each with =ADDRESS of its own page if there is one", read_only=True
+        ("bed_1", "bed_2"), "Namespaces of the beds, each followed by =ADDRESS of its own page, if any", read_only=True
     )
-    port: int = setting(8090, "Of this page; 0: a free one", minimum=0, maximum=65535, read_only=True)
+    port: int = setting(8090, "TCP port of this page; 0 chooses a free port", minimum=0, maximum=65535, read_only=True)
 
 
 class BedsNode(GraphNode):
@@ -76,7 +77,7 @@ class BedsNode(GraphNode):
         return heard
 
     def _check_states(self) -> None:
-        # Who has died leaves the last state behind; it does nothing any more.
+        # An ended program leaves its last state behind, although it does nothing any more.
         for name, states in self._states.items():
             for what, topic in STATES.items():
                 if self.count_publishers(f"/{name}/{topic}") == 0:
@@ -84,7 +85,7 @@ class BedsNode(GraphNode):
 
     def _see(self, name: str) -> Callable[[Image], None]:
         def seen(message: Image) -> None:
-            # No later than now: a camera's clock may be ahead.
+            # At most the present time: a camera's clock may be ahead.
             self._seen_ns[name] = min(stamp_ns(message.header.stamp), self._now_ns())
             self._pictures[name] = message
 
@@ -110,14 +111,14 @@ class BedsNode(GraphNode):
             return b""
 
     def close(self) -> None:
-        """End the page."""
+        """Stop the page's server."""
         self.server.close()
 
 
 def _jpeg(pixels: npt.NDArray[Any], encoding: str) -> bytes:
     code = _TO_BGR.get(encoding.rstrip("168"))
     if pixels.dtype != np.uint8:
-        # To the largest value: most deep cameras fill 10 or 12 of the 16 bits.
+        # Scaled to the largest value: most cameras of high bit depth use 10 or 12 of the 16 bits.
         finite = np.nan_to_num(pixels.astype(np.float32), nan=0.0, posinf=0.0, neginf=0.0)
         pixels = np.clip(finite * (255.0 / max(float(finite.max(initial=0.0)), 1e-9)), 0.0, 255.0).astype(np.uint8)
     if code is not None:

@@ -8,12 +8,12 @@ from typing import Any
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Float32
 
-from icu_common.adapters.step_ledger import LEDGER_VARIABLE
-from icu_common.core.config import ConfigError
-from icu_common.core.panel_layout import load_layout
-from icu_common.nodes.conversions import time_message
+from icu_common.adapters.steps.step_ledger import LEDGER_VARIABLE
+from icu_common.core.configuration.config import ConfigError
+from icu_common.core.panel.panel_layout import load_layout
 from icu_common.nodes.diagnostics import Diagnostics
 from icu_common.nodes.graph_node import CLOCK_TOPIC, GraphNode, this_process
+from icu_common.nodes.messages.heads import time_message
 from icu_common.nodes.parameters import LiveParameters
 from icu_common.nodes.qos import LATCHED, RESULTS
 from icu_common.nodes.runtime import interruptible, run
@@ -28,11 +28,11 @@ FACTOR_S = 1.0
 
 
 class BenchNode(GraphNode):
-    """Runs the bench; nothing of the physical truth goes to a topic."""
+    """Runs the bench; the physical ground truth is not published on any topic."""
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("bench", **kwargs)
-        self._settings = LiveParameters(self, BenchConfig, self._changed)
+        self._settings = LiveParameters(self, BenchConfig, self._changed, self._check)
         config = self._settings.config
         steps = self._step_time(config) if config.stepped else None
         with interruptible():  # drawing the views takes seconds
@@ -57,6 +57,9 @@ class BenchNode(GraphNode):
 
     def _show_factor(self) -> None:
         self._factor.publish(Float32(data=self._simulation.health().factor))
+
+    def _check(self, config: BenchConfig) -> None:
+        self._simulation.check(config)
 
     def _changed(self, config: BenchConfig) -> None:
         self._simulation.configure(config)

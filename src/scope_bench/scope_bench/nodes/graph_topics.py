@@ -1,4 +1,4 @@
-"""Asks a running graph for the types of its topics."""
+"""Queries a running graph for the types of its topics."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def types_of(topics: Collection[str], domain: int, stop: threading.Event) -> dic
     Raises
     ------
     TimeoutError
-        If one is not found.
+        If a topic is not found.
     """
     prepare_transport()
     context = Context()

@@ -1,10 +1,10 @@
 """Plays a bag in step with a graph that was started with ``bring_up --in-step``.
 
-The time stands still until every process has dealt with a message and with all that followed from it. Two things of a
-recording are made anew for the graph that listens:
+The time stops until every process has processed a message and all messages that follow from it. Two parts of a
+recording are adapted to the running graph:
 
-- a message on ``bag/cue`` (std_msgs/String) names a Trigger service that is called then, and must succeed;
-- the driver's answers carry the names of the trajectories that the controller sends now, in their recorded order.
+- a message on ``bag/cue`` (std_msgs/String) names a Trigger service, which the player calls and which must succeed;
+- the driver's answers get the names of the trajectories that the controller sends now, in their recorded order.
 """
 
 from __future__ import annotations
@@ -21,22 +21,22 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 
-from icu_common.adapters.step_gate import StepGate
-from icu_common.core.intent import read_frame
-from icu_common.nodes.conversions import stamp_ns
+from icu_common.adapters.steps.step_gate import StepGate
+from icu_common.core.goals.intent import read_frame
 from icu_common.nodes.graph_node import this_process
+from icu_common.nodes.messages.heads import stamp_ns
 from icu_common.nodes.qos import RESULTS
 from icu_common.nodes.runtime import Session
-from scope_bench.adapters.bags import BagError, BagReader
+from scope_bench.adapters.bag.bags import BagError, BagReader
 from scope_bench.nodes.bag_player import BagPlayer
 
 CUE, TRAJECTORY, ANSWER = "bag/cue", "gantry/trajectory", "gantry/trajectory_result"
 SETTLED_S = 1.0
 """Seconds without a change before playback begins."""
 _ASKED_AGAIN_S = 1.0
-"""Seconds for which an answer of a service is waited for before it is called again."""
-_LOOK_S = 0.001
-"""Interval of looks at the ledger while messages are being processed."""
+"""Seconds to wait for the answer of a service before it is called again."""
+_LOOK_S = 0.0003
+"""Seconds between two checks of the ledger while messages are being processed."""
 
 
 class StepPlayer:
@@ -45,11 +45,11 @@ class StepPlayer:
     Parameters
     ----------
     session, node
-        That spin and publish.
+        Session that spins, and node that publishes.
     bag, topics
-        The bag, and its topics that are played.
+        The bag, and its played topics.
     patience_s
-        Longest wait for a message to be dealt with, and for the graph to be complete.
+        Maximum seconds for a message to be processed, and for the graph to be complete.
     """
 
     def __init__(
@@ -57,10 +57,11 @@ class StepPlayer:
     ) -> None:
         self._session, self._node, self._patience_s = session, node, patience_s
         assert this_process.ledger is not None
-        # This class has a limit of its own, which is an error.
+        # This class has its own limit, which raises an error.
         self._gate = StepGate(this_process.ledger, patience_s=2 * patience_s, callback_patience_s=2 * patience_s)
         self._orders = _recorded_trajectories(bag)
         self._trajectories: list[str] = []
+        self._shown_ns: int | None = None
         node.create_subscription(JointTrajectory, TRAJECTORY, self._on_trajectory, RESULTS)
         self._cues = {service: node.create_client(Trigger, service) for service in _cues(bag, topics)}
 
@@ -68,12 +69,12 @@ class StepPlayer:
         self._trajectories.append(read_frame(message.header.frame_id, stamp_ns(message.header.stamp))[0])
 
     def begin(self, processes: int) -> None:
-        """Wait until so many processes are there and know each other.
+        """Wait until this number of processes is present and matched.
 
         Raises
         ------
         BagError
-            If they do not come.
+            If they do not appear in time.
         """
         deadline_s, still_s = time.monotonic() + self._patience_s, time.monotonic()
         while self._session.goes_on and time.monotonic() - still_s < SETTLED_S:
@@ -87,9 +88,9 @@ class StepPlayer:
             self._reach(service)
 
     def _missing(self, processes: int) -> str:
-        """Return what playback cannot begin without yet, "" for nothing."""
+        """Return what is still missing for playback, "" if nothing is."""
         reasons = []
-        if (found := self._gate.processes() - 1) < processes:  # the player is one, too
+        if (found := self._gate.processes() - 1) < processes:  # minus the player itself
             reasons.append(f"{found} of {processes} processes play in step (was the graph started with --in-step?)")
         if topics := self._gate.unmatched():
             reasons.append(f"publishers and subscriptions have not all found each other on {', '.join(topics)}")
@@ -98,15 +99,17 @@ class StepPlayer:
         return "; ".join(reasons)
 
     def play(self, topic: str, stamp_ns: int, data: bytes) -> None:
-        """Play one message at its time and wait until it has been dealt with.
+        """Play one message at its time and wait until it has been processed.
 
         Raises
         ------
         BagError
-            If that does not happen, or a cue's service does not succeed.
+            If that takes too long, or the service of a cue does not succeed.
         """
-        self._node.show_time(stamp_ns)
-        self._wait(f"the time of {topic}")
+        if stamp_ns != self._shown_ns:
+            self._node.show_time(stamp_ns)
+            self._wait(f"the time of {topic}")
+            self._shown_ns = stamp_ns
         if topic.endswith(CUE):
             self._call(deserialize_message(data, String).data)
         else:
@@ -131,11 +134,11 @@ class StepPlayer:
         return bytes(serialize_message(message))
 
     def _reach(self, service: str) -> None:
-        """Wait until the node of a service knows where its answers go.
+        """Wait until the node of a service has discovered the receiver of its answers.
 
-        A node that does not know it yet drops the answer, and only its side can tell. Discovery announces the ends of a
-        process in their order (DDSI-RTPS 8.5.4, reliable), so a node that answers a client made now knows the earlier
-        ones as well. Listing parameters may be repeated; a cue may not.
+        A node that has not discovered it yet drops the answer, and only that node could detect it. Discovery announces
+        the endpoints of a process in order (DDSI-RTPS 8.5.4, reliable), so a node that answers a client made now has
+        discovered the earlier ones as well. Listing parameters may be repeated; a cue may not.
         """
         deadline_s = time.monotonic() + self._patience_s
         while (owner := self._owner(service)) is None:

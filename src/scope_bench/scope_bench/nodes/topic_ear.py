@@ -19,7 +19,7 @@ class TopicEar:
     """Receives the messages of all publishers of a topic, each message once.
 
     A single subscription that matches every publisher has the weakest QoS of all. It would miss the latched messages
-    and the repetitions that stronger publishers offer.
+    and the retransmissions that stronger publishers offer.
 
     Parameters
     ----------

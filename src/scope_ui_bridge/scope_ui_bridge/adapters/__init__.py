@@ -1,1 +1,1 @@
-"""What touches the world; no rclpy."""
+"""Input and output: sockets, files, processes, threads; no rclpy."""

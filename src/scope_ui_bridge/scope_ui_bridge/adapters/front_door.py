@@ -1,4 +1,4 @@
-"""Plain requests: hosts, origins, security headers, sign-in and sign-out. Everything that comes is untrusted."""
+"""Plain requests: hosts, origins, security headers, sign-in and sign-out. All input is untrusted."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from urllib.parse import parse_qsl, unquote
 
 from aiohttp import web
 
-from icu_common.core.text_bounds import plain
+from icu_common.core.configuration.text_bounds import plain
 from scope_ui_bridge.adapters.listener import NOBODY, Listener, Turnstile
 from scope_ui_bridge.adapters.secret_files import read_users
 from scope_ui_bridge.adapters.turned_away import TurnedAway
@@ -26,16 +26,16 @@ from scope_ui_bridge.core.sign_in import AGAIN, Session, SignIn
 
 _LOG = logging.getLogger(__name__)
 COOKIE = "icu_session"
-"""The cookie's name, before the port: browsers send it to every port of a host, where other robots may be served."""
+"""Cookie name without the port, which follows: browsers send a cookie to all ports of a host, also to other robots."""
 PAGE = Path(__file__).resolve().parent.parent / "page"
 _BODY_TIMEOUT_S = 5.0
 _MAX_FIELDS = 8
 _LOOK_S = 1.0
-"""So often the file of passwords is read for those who have come in by it."""
+"""Minimum interval between reads of the passwords file that check the accounts of signed-in users."""
 _SPEAK_WITHIN_S = 5.0
-_MAX_PATH = 200  # characters; far below what a file system takes for a name
+_MAX_PATH = 200  # characters; far below the limit of a file system
 _MAX_GUESSES = 8  # passwords in a queue: each check takes 0.1 s of a processor
-_MAX_OF_ONE = 3  # of them for one account and address (all tunnels share one), so that others find room
+_MAX_OF_ONE = 3  # of the queue for one account and address (all tunnels share one): leaves room for others
 HEADERS = {
     "Content-Security-Policy": (
         "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob:; connect-src 'self'; "
@@ -43,7 +43,7 @@ HEADERS = {
     ),
     "X-Content-Type-Options": "nosniff",
     "X-Frame-Options": "DENY",
-    # not no-referrer: with that browsers send "Origin: null" with forms
+    # not no-referrer: browsers would then send "Origin: null" with forms
     "Referrer-Policy": "same-origin",
     "Cross-Origin-Opener-Policy": "same-origin",
     "Cross-Origin-Resource-Policy": "same-origin",
@@ -63,16 +63,16 @@ class _Lane:
 
 
 class FrontDoor:
-    """Lets people in; all methods run in the event loop's thread.
+    """Sign-in, sign-out and checks of requests; all methods run in the event loop's thread.
 
     Parameters
     ----------
     config
-        Names, certificates, the file of passwords.
+        Host names, certificates, passwords file.
     sign_in
         Tokens, sessions and back-off.
     record
-        Takes records for the audit file.
+        Called with each record for the audit file.
     """
 
     def __init__(self, config: BridgeConfig, sign_in: SignIn, record: Callable[[dict[str, Any]], None]) -> None:
@@ -96,23 +96,23 @@ class FrontDoor:
 
     @property
     def speak_within_s(self) -> float:
-        """For how long a connection may ask for nothing, and for how long it may take to become encrypted."""
+        """Maximum seconds from a connection's start to its first request, and maximum seconds for its TLS handshake."""
         return _SPEAK_WITHIN_S
 
     def opened(self, port: int, listener: Listener) -> None:
-        """Note the port, part of the allowed origins and hosts, and the listener that knows the connections' users."""
+        """Set the port (part of the allowed origins and hosts) and the listener, which has the connections' users."""
         self._listener = listener
         self._origins = self._config.origins(port)
         self._hosts = frozenset(origin.partition("://")[2] for origin in self._origins)
 
     def close(self) -> None:
-        """Give up what is being checked."""
+        """Cancel the password checks that have not started."""
         for lane in (self._strangers, self._known):
             lane.checker.shutdown(wait=False, cancel_futures=True)
 
     def add_routes(self, router: web.UrlDispatcher) -> None:
-        """Register the plain requests, but for the stop."""
-        router.add_get("/", self._index, allow_head=False)  # a HEAD would use the token up
+        """Register the plain requests except the stop."""
+        router.add_get("/", self._index, allow_head=False)  # a HEAD request would use the token up
         router.add_post("/sign-in", self._enter)
         router.add_post("/renew", self._renew)
         router.add_post("/sign-out", self._leave)
@@ -121,7 +121,7 @@ class FrontDoor:
 
     @web.middleware
     async def guard(self, request: web.Request, handler: Handler) -> web.StreamResponse:
-        """Refuse foreign hosts (DNS rebinding) and origins, and put the security headers on every answer."""
+        """Refuse foreign hosts (DNS rebinding) and origins, and add the security headers to every answer."""
         response: web.StreamResponse
         self._spoke.add(request.protocol)
         await self._in_turn(request)
@@ -148,7 +148,7 @@ class FrontDoor:
                 response = web.Response(status=error.status, text=f"{error.status}: {error.reason}\n")
                 if "Allow" in error.headers:
                     response.headers["Allow"] = error.headers["Allow"]
-            except Exception as error:  # a fault of the server, which a stranger may repeat at will
+            except Exception as error:  # a fault of the server; a stranger may trigger it at any rate
                 if self._failures.take(time.monotonic()):
                     _LOG.exception("a request failed")
                 self._note(request, f"500 {type(error).__name__}")
@@ -170,24 +170,25 @@ class FrontDoor:
         elif request.path != "/stop":
             while not (rate := self._requests[session.name]).take(time.monotonic()):
                 await asyncio.sleep(rate.wait_s())
-            await asyncio.sleep(0)  # else the requests in a row on one connection are handled in one turn of the loop
+            await asyncio.sleep(0)  # else consecutive requests of one connection would run in one turn of the loop
 
     def user_of(self, cookie: str) -> str:
-        """Return the user of a session's cookie, NOBODY for none."""
+        """Return the user of a session's cookie, NOBODY if there is none."""
         session = self._sign_in.session(cookie, time.monotonic())
         return session.name if session is not None else NOBODY
 
     def _note(self, request: web.Request, why: str) -> None:
-        # What is served here is a kind of its own. Each path that somebody makes up would be one, too, with its record.
+        # Each served path is a kind of its own. All other paths share one kind, or each invented path would add a
+        # record.
         served = request.match_info.route.resource
         kind = served.canonical if served is not None else "request"
         named = why if kind == request.path else f"{request.path!r}: {why}"
         self.turned_away.note(request.remote or "", kind, named)
 
     def sweep(self, server: web.Server) -> None:
-        """Call often: ends connections that ask for nothing, so that slow or silent ones cannot use up all places.
+        """End connections without a request, so that slow or silent clients cannot use up all slots; call often.
 
-        It also records the sign-ins that have ended by themselves.
+        It also records the sign-ins that have expired.
         """
         now_s = time.monotonic()
         for ended, why in self._sign_in.take_ended(now_s):
@@ -203,7 +204,7 @@ class FrontDoor:
                     connection.transport.abort()
 
     def session(self, request: web.Request) -> Session | None:
-        """Return who sent a request; whose line in the file of passwords is another or gone must sign in anew."""
+        """Return the session of a request; end it if the user's line in the passwords file has changed or is gone."""
         cookie, now_s = _secret(request), time.monotonic()
         session = self._sign_in.session(cookie, now_s)
         if session is not None and session.user is not None and not self._still_let_in(session.user, now_s):
@@ -217,7 +218,7 @@ class FrontDoor:
             self._look_s = now_s + _LOOK_S
             try:
                 self._users = read_users(self._passwords)
-            except (OSError, PasswordError) as error:  # nobody comes in by it, nobody is sent away in mid-work
+            except (OSError, PasswordError) as error:  # no new sign-ins, but signed-in users keep working
                 self.turned_away.note("the bridge", "passwords_file", str(error))
                 self._users = None
         return self._users is None or self._users.get(user.name) == user
@@ -228,11 +229,11 @@ class FrontDoor:
         if self.session(request) is not None:
             return web.FileResponse(PAGE / "index.html")
         token = request.query.get("token", "")
-        # A picture or a frame of another site's page needs no Origin: its wrong tokens would make people wait.
+        # An <img> or a frame on another site sends no Origin: its wrong tokens would cause waiting times for users.
         part_of_a_page = request.headers.get("Sec-Fetch-Dest", "document") != "document"
         if not token or part_of_a_page:
             return self._sign_in_page(401, "ended" if _cookie(request) in request.cookies else "")
-        # The page itself is the answer, not a redirect: after a link from elsewhere a browser would not send a
+        # Answer with the page, not with a redirect: after a link from another site a browser would not send a
         # SameSite=Strict cookie with the redirected request.
         return await self._try(request, token, "", "", web.FileResponse(PAGE / "index.html"))
 
@@ -259,7 +260,7 @@ class FrontDoor:
             return response
         session = self._sign_in.session(secret, time.monotonic())
         assert session is not None
-        self._know(request, session.name)  # else a stranger's connection may replace it before the answer
+        self._know(request, session.name)  # else a stranger's connection may replace this one before the answer
         self._record_done(session, "sign-in")
         welcome.set_cookie(
             _cookie(request), secret, httponly=True, samesite="Strict", secure=self._config.tls, path="/"
@@ -267,9 +268,9 @@ class FrontDoor:
         return welcome
 
     async def _renew(self, request: web.Request) -> web.StreamResponse:
-        """Let who signs in again, in time and by the same way, stay: control, connections and page go on as they are.
+        """Extend a session by a new sign-in of the same kind; control, connections and page remain.
 
-        The cookie stays, too: the open connections came with it, and are looked at by it.
+        The cookie remains as well: the open connections were opened with it and are checked by it.
         """
         (secret,) = await _form(request, "secret")
         remote, session = request.remote or "", self.session(request)
@@ -277,7 +278,7 @@ class FrontDoor:
             if session is not None and session.user is not None:
                 user = await self._user(self._known, session.name, secret, AGAIN)
                 self._sign_in.check_user(user, session.name, AGAIN, time.monotonic())
-                session = self.session(request)  # checking takes its time
+                session = self.session(request)  # it may have ended during the check
             elif session is not None:
                 self._sign_in.use_up(secret.strip())
             if session is None or self._sign_in.renew(_secret(request), time.monotonic()) is None:
@@ -294,13 +295,13 @@ class FrontDoor:
         self._record(done | ({"reason": why} if why else {}))
 
     async def _user(self, lane: _Lane, name: str, password: str, remote: str) -> User | None:
-        """Return the user with this name and password, None for none; ``wait`` if too many passwords wait."""
+        """Return the user with this name and password, None if there is none; ``wait`` if the queue is full."""
         self._sign_in.check_wait(name, remote, time.monotonic())
         if lane.guesses.count((name, remote)) >= _MAX_OF_ONE or len(lane.guesses) >= _MAX_GUESSES:
             raise Refusal("wait", seconds=1.0)
         lane.guesses.append((name, remote))
         try:
-            async with lane.one_by_one:  # a wrong guess before this one makes it wait
+            async with lane.one_by_one:  # a wrong guess before this one causes a waiting time
                 self._sign_in.check_wait(name, remote, time.monotonic())
                 loop = asyncio.get_running_loop()
                 user, problem = await loop.run_in_executor(lane.checker, self._check, name, password)
@@ -311,9 +312,9 @@ class FrontDoor:
         return user
 
     def _check(self, name: str, password: str) -> tuple[User | None, str]:
-        """Check a password, in the checker's thread; an unknown name takes as long as a known one.
+        """Check a password in the checker's thread; an unknown name takes as long as a known one.
 
-        Return the user if the password is good, and what is wrong with the file.
+        Return the user if the password is correct, and the problem of the passwords file if there is one.
         """
         problem = ""
         self._nobody = self._nobody or hash_password("nobody has this one", os.urandom(16))
@@ -325,7 +326,7 @@ class FrontDoor:
         return user if good else None, problem
 
     def _sign_in_page(self, status: int, problem: str) -> web.StreamResponse:
-        # Codes and flags are fixed and shown by style alone (see sign_in.html): nothing of the request is echoed.
+        # Codes and flags are constants that only styles show (see sign_in.html): no text of the request is echoed.
         text = (
             (PAGE / "sign_in.html").read_text(encoding="utf-8").replace('data-problem=""', f'data-problem="{problem}"')
         )
@@ -350,7 +351,7 @@ class FrontDoor:
 
 
 async def _form(request: web.Request, *fields: str) -> tuple[str, ...]:
-    """Return the fields of a form as a browser sends it; refuse any other body."""
+    """Return the fields of a form as browsers send it; refuse any other body."""
     if request.content_type != "application/x-www-form-urlencoded":
         raise web.HTTPBadRequest(reason="not a readable form")
     try:
@@ -361,7 +362,7 @@ async def _form(request: web.Request, *fields: str) -> tuple[str, ...]:
         raise web.HTTPRequestTimeout from None
     except web.HTTPException:
         raise
-    except Exception as error:  # aiohttp and its parsers raise many kinds, and new ones with each version
+    except Exception as error:  # aiohttp and its parsers raise many types, and new ones with each version
         raise web.HTTPBadRequest(reason="not a readable form") from error
     return tuple(form.get(field, "") for field in fields)
 
@@ -371,5 +372,5 @@ def _secret(request: web.Request) -> str:
 
 
 def _cookie(request: web.Request) -> str:
-    """Return the cookie's name, by the port that the browser has named."""
+    """Return the cookie's name with the port from the browser's request."""
     return f"{COOKIE}_{request.url.port}"

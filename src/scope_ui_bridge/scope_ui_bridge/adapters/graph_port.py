@@ -1,4 +1,4 @@
-"""What the web server needs of the graph; the node provides it. Every call returns at once."""
+"""Interface of the web server to the graph, implemented by the node. Every call returns at once."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ import numpy.typing as npt
 
 
 class GraphError(RuntimeError):
-    """Nobody in the graph can take this; the message is for people."""
+    """No node of the graph can accept the request; the message is for people."""
 
 
 class GraphPort(Protocol):
-    """The bridge's hands in the graph; called from the event loop's thread."""
+    """Actions of the bridge in the graph; called from the event loop's thread."""
 
     @property
     def runs_by_simulated_time(self) -> bool:
@@ -25,35 +25,35 @@ class GraphPort(Protocol):
         ...
 
     def stop(self, answered: Callable[[bool, str], None]) -> None:
-        """Stop by every way there is; never raises.
+        """Stop by every available path; never raises.
 
-        ``answered`` is called once, in any thread, when the driver has answered or when there is none; not at all by
-        one that hangs.
+        ``answered`` is called once, in any thread, when the driver has answered or when there is no driver. A driver
+        that hangs causes no call.
         """
         ...
 
     def heartbeat(self) -> None:
-        """Tell the driver that an operator is there."""
+        """Publish the operator's heartbeat to the driver."""
         ...
 
     def send_command(self, text: str) -> None:
-        """Publish a gesture; GraphError when no controller listens."""
+        """Publish a gesture; GraphError if no controller subscribes."""
         ...
 
     def send_sequence(self, text: str) -> None:
-        """Publish a sequence of gestures; GraphError when no sequencer listens."""
+        """Publish a sequence of gestures; GraphError if no sequencer subscribes."""
         ...
 
     def send_teaching(self, text: str, stamp_ns: int, encoding: str, picture: npt.NDArray[Any]) -> None:
-        """Publish a held picture and what was pointed at in it; GraphError when nobody listens."""
+        """Publish a held image and the points marked in it; GraphError if no node subscribes."""
         ...
 
     def send_goal(self, frame: str, point: tuple[float, float], stamp_ns: int) -> None:
-        """Publish a goal in a frame (pixels, or metres with the stylus up); GraphError when no controller listens."""
+        """Publish a goal in a frame (pixels, or metres with the stylus up); GraphError if no controller subscribes."""
         ...
 
     def call(self, service: str, answered: Callable[[bool, str], None]) -> None:
-        """Call one of ``core.wire.SERVICES``; GraphError when the service is not there.
+        """Call one of ``core.wire.SERVICES``; GraphError if the service is not available.
 
         ``answered`` is called once, in any thread.
         """

@@ -1,7 +1,7 @@
-"""JPEGs, made in a process of its own: the bridge has real-time scheduling, and they must not come before perception.
+"""JPEG encoder in its own process: the bridge has real-time scheduling, and encoding must not preempt perception.
 
-A thread with ordinary scheduling would not do: one that waits for its turn with the interpreter's lock holds up all
-others, and with them the operator's heartbeat (docs/decisions/operator-page.md).
+A thread with ordinary scheduling is no alternative. If it waits for the processor while it holds the interpreter's
+lock, it blocks all other threads and so the operator's heartbeat (docs/decisions/operator-page.md).
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ _CONVERSIONS = {"rgb8": cv2.COLOR_RGB2BGR, "rgba8": cv2.COLOR_RGBA2BGR, "bgra8":
 
 _START_S = 30.0
 _PICTURE_S = 3.0
-"""What takes 10 ms is given so long, on a busy computer, before the process counts as hung."""
+"""Maximum seconds for an image before the process counts as hung; encoding takes 10 ms on an idle computer."""
 
 Picture = npt.NDArray[Any]
 
 
 class _Shared:
-    """The picture at work, in memory that both processes have: through a pipe it took half as long as encoding it."""
+    """Shared memory with the image to encode: transfer through a pipe took half as long as encoding."""
 
     def __init__(self, number: int) -> None:
         self.number = number
@@ -48,14 +48,14 @@ class _Shared:
         return np.frombuffer(self._memory, np.uint8, size)
 
     def close(self) -> None:
-        """Give the memory back; again does nothing, as the number may be another file's by then."""
+        """Release the memory; a second call does nothing, because the descriptor may belong to another file by then."""
         if self.number >= 0:
             os.close(self.number)
         self.number, self._memory = -1, None
 
 
 class JpegEncoder:
-    """One picture after the other; the process is started with the first one, and anew when it has died or hangs."""
+    """Encodes one image at a time; starts its process with the first image, and again if it has died or hangs."""
 
     def __init__(self) -> None:
         self._asks = ThreadPoolExecutor(1, "jpeg")
@@ -65,18 +65,18 @@ class JpegEncoder:
 
     @property
     def pid(self) -> int | None:
-        """The number of the process, None before the first picture."""
+        """Process id, None before the first image."""
         return None if self._process is None else self._process.pid
 
     def __call__(self, picture: Picture, encoding: str, quality: int, form: Form = FORMS[0]) -> Future[bytes]:
-        """Encode a picture, (H, W) or (H, W, C) uint8, in a form; the future raises as :func:`to_jpeg`, or OSError."""
+        """Encode an image, (H, W) or (H, W, C) uint8, in a form; the future raises as :func:`to_jpeg`, or OSError."""
         return self._asks.submit(self._ask, picture, encoding, quality, form)
 
     def close(self) -> None:
-        """End the process, also in the middle of a picture."""
+        """End the process, even while it encodes an image."""
         self._asks.shutdown(wait=False, cancel_futures=True)
         if (process := self._process) is not None:
-            process.kill()  # else what is asked of it would be waited for
+            process.kill()  # else the shutdown would wait for the running request
         self._asks.shutdown(wait=True)
         self._end()
         self._shared.close()
@@ -106,7 +106,7 @@ class JpegEncoder:
                 [sys.executable, "-m", __name__, *map(str, numbers)],
                 env={**os.environ, "PYTHONPATH": path},
                 pass_fds=numbers,
-                start_new_session=True,  # Ctrl-C is for the bridge, which ends this one
+                start_new_session=True,  # Ctrl-C is for the bridge, which ends this process
             )
         give_up_real_time(self._process.pid)
         return self._line
@@ -116,17 +116,17 @@ class JpegEncoder:
         if line is not None:
             line.close()
         if process is not None:
-            process.kill()  # it keeps nothing
+            process.kill()  # it has no data to save
             process.wait()
 
 
 def to_jpeg(picture: Picture, encoding: str, quality: int, form: Form = FORMS[0]) -> bytes:
-    """Encode a picture in a form.
+    """Encode an image in a form.
 
     Raises
     ------
     ValueError
-        For an encoding that people cannot look at as it is.
+        If the encoding cannot be shown to people without processing.
     """
     if encoding in _CONVERSIONS:
         picture = cv2.cvtColor(picture, _CONVERSIONS[encoding])
@@ -141,8 +141,8 @@ def to_jpeg(picture: Picture, encoding: str, quality: int, form: Form = FORMS[0]
 
 
 def serve(line: Connection, shared: _Shared) -> None:
-    """Encode what comes until the other end is gone."""
-    cv2.setNumThreads(1)  # the other processors are for those who look at the pictures
+    """Encode the received images until the other end closes."""
+    cv2.setNumThreads(1)  # the other cores are for the programs that process the images
     while True:
         shape, kind, encoding, quality, form = line.recv()
         picture = shared.bytes(math.prod(shape) * np.dtype(kind).itemsize).view(kind).reshape(shape)

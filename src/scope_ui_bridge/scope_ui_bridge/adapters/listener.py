@@ -236,7 +236,7 @@ class Listener:
                 self.forget(gate)
 
     def know(self, gate: Any, user: str) -> None:
-        """Note a connection's user; close the user's oldest connection if there are too many."""
+        """Assign a connection to a user; close the user's oldest connection if there are too many."""
         if not isinstance(gate, Gate):  # the connection has ended, or a test made it
             return
         if user == gate.user:
@@ -249,7 +249,7 @@ class Listener:
             self._make_room(own[0])
 
     def forget(self, gate: Gate) -> None:
-        """Note that a connection has ended."""
+        """Record that a connection has ended."""
         self._gates.pop(gate, None)
 
     def _worth(self) -> Callable[[Gate], tuple[bool, bool, int]]:

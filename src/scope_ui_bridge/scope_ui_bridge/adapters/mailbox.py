@@ -1,4 +1,4 @@
-"""From the ROS thread to the event loop without waiting: the newest value of each name, and results in order."""
+"""Transfer from the ROS thread to the event loop without waiting: newest value of each name, and results in order."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _LOG = logging.getLogger(__name__)
 class Mailbox:
     """Calls functions in the loop's thread.
 
-    A loop that is late finds only the newest value under each name, so pictures cannot pile up.
+    A late loop receives only the newest value of each name, so images cannot pile up.
 
     Parameters
     ----------
@@ -25,14 +25,14 @@ class Mailbox:
 
     def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
         self._loop = loop
-        # A signal's handler may post while its own thread is posting: it would wait for itself at a plain lock.
+        # A signal handler may post while its own thread is posting: with a plain lock it would deadlock.
         self._lock = threading.RLock()
         self._newest: dict[str, tuple[Callable[..., None], tuple[Any, ...]]] = {}
         self._ordered: deque[tuple[Callable[..., None], tuple[Any, ...]]] = deque()
         self._awake = False
 
     def newest(self, name: str, function: Callable[..., None], *arguments: Any) -> None:
-        """Call ``function(*arguments)`` soon, unless a newer value of this name comes before."""
+        """Call ``function(*arguments)`` soon, unless a newer value of this name arrives first."""
         with self._lock:
             self._newest[name] = (function, arguments)
         self._wake()
@@ -62,5 +62,5 @@ class Mailbox:
         for function, arguments in calls:
             try:
                 function(*arguments)
-            except Exception:  # the others are somebody else's
+            except Exception:  # the other calls must still run
                 _LOG.exception("a value was not taken")

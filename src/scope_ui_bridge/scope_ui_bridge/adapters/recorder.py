@@ -1,4 +1,4 @@
-"""Records the session to a bag, by the program bag_record in a process of its own, so that the page never waits."""
+"""Record the session to a bag with bag_record in a separate process, so that the page never waits."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from scope_ui_bridge.adapters.graph_port import GraphError
 _LOG = logging.getLogger(__name__)
 _ERROR = "error: "
 _INCOMPLETE = 3
-"""Exit code of bag_record for a whole bag in which messages are missing; its summary has their number."""
+"""Exit code of bag_record for a complete bag in which messages are missing; its summary has their number."""
 _FOR_VIEWERS = "|".join(
     (
         r"/(disparity|dense_points|points2|panel_plane|panel_plane_estimate)$",
@@ -30,26 +30,26 @@ _FOR_VIEWERS = "|".join(
         r"/panel/points$",
     )
 )
-"""What is computed from the pictures, only while somebody listens, and not shown by the page."""
+"""Topics computed from the images only while a node subscribes, and not shown by the page."""
 Answered = Callable[[bool, str], None]
 
 
 class Recorder:
     """At most one recording at a time.
 
-    The program takes a while to start, and to write what waits at its end; a signal before it listens would end it
-    without a bag. So the answers are given, in a thread, when it says that it records and when it has ended.
+    The program takes time to start, and at its end to write its queue. A signal before its handler is installed would
+    end it without a bag. So a thread gives the answers when the program reports that it records and when it has ended.
 
     Parameters
     ----------
     folder
-        Where the sessions go, each in a folder named by its time; empty = nothing can be recorded.
+        Folder for the sessions, each in a subfolder named by its time; empty = no recording.
     program
-        What records; bag_record, unless another one is given.
+        Recording program; bag_record by default.
     end_s
-        How long the end of the bridge waits for a whole bag.
+        Maximum seconds that the bridge's end waits for a complete bag.
     ended
-        Called, in a thread, when a recording has ended without having been asked to, as before the disk is full.
+        Called in a thread when a recording has ended by itself, for example before the disk is full.
     """
 
     def __init__(
@@ -70,12 +70,12 @@ class Recorder:
         self._ended: Answered | None = None
         self._who = ""
         self.node_name = f"bag_recorder_{secrets.token_hex(4)}"
-        """Of the program in the graph, where other recorders may be."""
+        """Node name of the program, unique because the graph may have other recorders."""
         self.recording: tuple[str, float] | None = None
-        """Who has started the recording that runs, and when it began (monotonic); None while there is none."""
+        """User who started the current recording, and its start (monotonic); None if there is none."""
 
     def start(self, answered: Answered, who: str = "") -> None:
-        """Begin, and answer where once it records; GraphError when it cannot be."""
+        """Start, and answer with the path once it records; GraphError if it cannot start."""
         if self._folder is None:
             raise GraphError("record_folder is empty: nothing is recorded here")
         with self._change:
@@ -87,14 +87,15 @@ class Recorder:
                 raise GraphError("bag_record is not installed beside this program") from error
             self._output = self._folder / f"{datetime.now():%Y-%m-%d_%H-%M-%S-%f}"
             command = [str(program), "-o", str(self._output), "--compress", "jpeg", "--exclude", _FOR_VIEWERS]
-            command += ["--child-of", str(os.getpid())]  # whoever comes after a killed bridge does not know of it
+            command += ["--child-of", str(os.getpid())]  # the next bridge after a killed one has no record of it
             command += ["--ros-args", "-r", f"__node:={self.node_name}"]
             try:
                 self._folder.mkdir(parents=True, exist_ok=True)
-                # In memory, as the disk may be full; no pipe, as who outlives a killed bridge must be able to write.
+                # In memory, because the disk may be full; no pipe, because the program must be able to write if the
+                # bridge is killed.
                 errors = os.fdopen(os.memfd_create("bag_record"), "w+", errors="replace")
                 self._process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=errors, text=True)
-                give_up_real_time(self._process.pid)  # it compresses pictures, on as many processors as there are
+                give_up_real_time(self._process.pid)  # it compresses images on all processors
             except OSError as error:
                 raise GraphError(f"cannot record to {self._output}: {error}") from error
             self._records, self._ended, self._who = False, None, who
@@ -102,7 +103,7 @@ class Recorder:
             threading.Thread(target=self._follow, args=follow, name="recorder", daemon=True).start()
 
     def end(self, answered: Answered) -> None:
-        """Ask the recording to end, and answer what it holds once the bag is whole; GraphError when there is none."""
+        """End the recording, and answer with its contents once the bag is complete; GraphError if there is none."""
         with self._change:
             if self._process is None or self._process.poll() is not None:
                 raise GraphError("nothing is being recorded")
@@ -113,7 +114,7 @@ class Recorder:
                 self._process.send_signal(signal.SIGINT)
 
     def close(self) -> None:
-        """End with the bridge."""
+        """End the recording at the bridge's end."""
         with self._change:
             process = self._process
         if process is None:
@@ -131,7 +132,7 @@ class Recorder:
         with process.stdout as said:
             records = bool(said.readline())
             with self._change:
-                if self._process is process:  # else it has failed, and another one runs already
+                if self._process is process:  # else it has failed and another program runs already
                     self._records = records
                     self.recording = (self._who, time.monotonic()) if records else None
                 if records and self._ended is not None:
@@ -147,7 +148,7 @@ class Recorder:
         if not records:
             started(False, why)
         with self._change:
-            # Another recording may have begun when this one ended by itself.
+            # Another recording may have started after this one ended by itself.
             ended = self._ended if self._process is process else None
         if ended is None and records:
             ended = self._ended_alone
@@ -156,7 +157,7 @@ class Recorder:
 
 
 def _told(errors: TextIO) -> list[str]:
-    """Pass on what the program said to the log, and return its errors."""
+    """Copy the program's error output to the log, and return its errors."""
     with errors:
         errors.seek(0)
         text = errors.read()

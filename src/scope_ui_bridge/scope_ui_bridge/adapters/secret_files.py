@@ -1,4 +1,4 @@
-"""Files that only their owner may read, and records that are on disk before anything moves."""
+"""Files that only their owner may read, and audit records that are on disk before a motion starts."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ _LOG = logging.getLogger(__name__)
 
 
 def read_users(path: Path) -> dict[str, User]:
-    """Read the file of passwords.
+    """Read the passwords file.
 
     Raises
     ------
     OSError
-        If it cannot be read, or others than its owner may read it.
+        If it cannot be read, or if users other than its owner may read it.
     PasswordError
-        If a line is no good.
+        If a line is invalid.
     """
     mode = path.stat().st_mode & 0o777
     if mode & 0o077:
@@ -38,7 +38,7 @@ def read_users(path: Path) -> dict[str, User]:
 
 
 def write_secret(path: Path, text: str) -> None:
-    """Put a text into ``path`` with mode 0600, replacing the file as a whole.
+    """Write a text to ``path`` with mode 0600; the file is replaced as a whole.
 
     Raises
     ------
@@ -48,7 +48,7 @@ def write_secret(path: Path, text: str) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     fresh = path.with_name(f".{path.name}.{os.getpid()}")
     fresh.unlink(missing_ok=True)
-    # O_EXCL: never through a link that somebody else has put there.
+    # O_EXCL: never write through a link that another user has created.
     descriptor = os.open(fresh, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
     with os.fdopen(descriptor, "w", encoding="utf-8") as file:
         file.write(text + "\n")
@@ -56,17 +56,17 @@ def write_secret(path: Path, text: str) -> None:
 
 
 class AuditFile:
-    """Appends chained records; each call returns when the record is on disk.
+    """Hash-chained audit file; each call returns when its record is on disk.
 
-    A file that has become as large as ``max_bytes`` gets the next number behind its name, and the chain goes on in a
-    new one. None is ever deleted or written again.
+    A file of ``max_bytes`` or more is renamed with the next number as suffix, and the chain continues in a new file. No
+    file is deleted or written again.
 
     Raises
     ------
     AuditError
-        When the existing file's chain is broken: it must be looked at and moved away by a person.
+        If the existing file's chain is broken: a person must inspect the file and move it away.
     OSError
-        If the file cannot be opened, or another bridge writes it.
+        If the file cannot be opened, or if another bridge writes it.
     """
 
     def __init__(self, path: Path, max_bytes: float = math.inf) -> None:
@@ -85,14 +85,15 @@ class AuditFile:
         if not _lock(self._file) or not os.path.samestat(os.fstat(self._file.fileno()), path.stat()):
             raise BlockingIOError(f"{path} is written by another bridge")
         files = older_files(path)
-        if files and files[-1].samefile(path):  # the power went while it was put aside: it is whole under its own name
+        if files and files[-1].samefile(path):  # power failed in the rename: it is complete under its own name
             files.pop().unlink()
         with path.open(encoding="utf-8", errors=BAD_BYTES) as lines:
             first = next(lines, "")
-            # The files before may have been taken to an archive; `page_admin audit` looks at all that are there.
+            # Earlier files may have been archived; `page_admin audit` checks all that exist.
             before = line_before(first) if first or not files else _end_of(files[-1])
             self._count, self._previous = verify(chain([first] if first else [], lines), *before)
-        if path.read_bytes()[-1:] not in (b"", b"\n"):  # a whole record whose end of line was lost with the power
+        # Power failed before the end of line was written: the record is complete.
+        if path.read_bytes()[-1:] not in (b"", b"\n"):
             self._file.write(b"\n")
         _sync_folder(path)
 
@@ -122,21 +123,21 @@ class AuditFile:
                 rest = rest[self._file.write(rest) :]
             os.fsync(self._file.fileno())
         except OSError:
-            self._file.truncate(end)  # a part of it would break the chain for all that follow
+            self._file.truncate(end)  # a partial record would break the chain for all later ones
             raise
         self._count, self._previous = self._count + 1, digest
 
     def _put_aside(self) -> None:
-        """Begin a new file; where that cannot be done the old one goes on, as a record is worth more than a bound.
+        """Start a new file; if that fails, continue the old one, because a record is worth more than a size limit.
 
-        The file's own name always leads to one that this bridge has locked: first the full one, from one moment to the
-        next the new one.
+        The file's own name always leads to a file that this bridge has locked: the full one, then, replaced atomically,
+        the new one.
         """
         files = older_files(self._path)
         number = int(files[-1].suffix[1:]) + 1 if files else 1
         older, fresh = (self._path.with_name(name.format(self._path.name)) for name in (f"{{}}.{number}", ".{}.new"))
         try:
-            fresh.unlink(missing_ok=True)  # of one whose power went
+            fresh.unlink(missing_ok=True)  # left over from a power failure
             file = _open_to_append(fresh)
             _lock(file)
             try:
@@ -170,7 +171,7 @@ class AuditFile:
 
 
 def older_files(path: Path) -> list[Path]:
-    """Return the files that were put aside full, the oldest first: their numbers rise."""
+    """Return the renamed full files, oldest first: their numbers rise."""
     numbered = (file for file in path.parent.glob(f"{glob.escape(path.name)}.*") if file.suffix[1:].isdecimal())
     return sorted(numbered, key=lambda file: int(file.suffix[1:]))
 
@@ -190,18 +191,18 @@ def _open_to_append(path: Path) -> io.FileIO:
 
 
 def _lock(file: io.FileIO) -> bool:
-    """Whether this program alone writes it from now on, until it closes it or ends: records of two would follow one."""
+    """Lock a file until it is closed or the program ends; return False if another program has it."""
     try:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
         return False
-    except OSError:  # a file system without locks
+    except OSError:  # this file system has no locks
         pass
     return True
 
 
 def _sync_folder(path: Path) -> None:
-    """Wait until the names of the files in its folder are on disk."""
+    """Write the folder's file names to disk."""
     folder = os.open(path.parent, os.O_RDONLY)
     try:
         os.fsync(folder)

@@ -1,4 +1,4 @@
-"""What was refused at the door and on the wire: logged and recorded, but a flood of it fills neither log nor disk."""
+"""Log and record of refused requests and messages, limited so that a flood fills neither log nor disk."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 
 from aiohttp.http_exceptions import HttpProcessingError
 
-from icu_common.core.text_bounds import plain
+from icu_common.core.configuration.text_bounds import plain
 
 _LOG = logging.getLogger(__name__)
 _PERIOD_S = 1.0
@@ -20,16 +20,16 @@ _SHOWN = 120
 SUSPECT = frozenset(
     {"malformed", "oversized", "rate_limited", "old_boot", "replayed", "stale_epoch", "no_lease", "role_needed"}
 )
-"""Refusals that an honest page seldom meets."""
+"""Refusals that are rare for an honest page."""
 
 
 class TurnedAway:
-    """Writes at most one line a second for each kind of refusal and origin of it; the next one tells how many more.
+    """Writes at most one line a second for each kind and origin of refusals; the next line counts the omitted ones.
 
     Parameters
     ----------
     write
-        Takes a record for the audit file.
+        Called with each record for the audit file.
     """
 
     def __init__(self, write: Callable[[dict[str, Any]], None]) -> None:
@@ -37,7 +37,7 @@ class TurnedAway:
         self._last: dict[tuple[str, str], tuple[float, int]] = {}
 
     def note(self, who: str, what: str, why: str) -> None:
-        """Note that ``what`` of ``who`` was refused, and why; all three may contain a stranger's text."""
+        """Record that ``what`` from ``who`` was refused, and why; all three may contain a stranger's text."""
         who, what, why = plain(who, MAX_NAME), plain(what, MAX_NAME), plain(why)
         now_s = time.monotonic()
         key = (who, what)

@@ -1,7 +1,7 @@
-"""The live picture for all pages: one JPEG for each picture and form, made only while a page can take it.
+"""Live image for all pages: one JPEG for each image and form, encoded only while a page can accept it.
 
-No page slows another.
-A picture is encoded in the full form, and in lighter ones (smaller, stronger compression) for pages behind slow links.
+No page slows another page.
+An image is encoded in the full form, and in lighter forms (smaller, stronger compression) for pages on slow links.
 
 A message is four bytes (length of the JSON, big endian), the JSON with stamp, age and overlay, and the JPEG.
 """
@@ -26,14 +26,14 @@ from scope_ui_bridge.core.frame_window import FORMS, Form, FrameWindow
 from scope_ui_bridge.core.wire import CAMERAS, encode
 
 _LOG = logging.getLogger(__name__)
-_LAYERS_PERIOD_S = 0.5  # of corners and edges on a slow link, where they would delay the pictures
+_LAYERS_PERIOD_S = 0.5  # of corners and edges on a slow link, where they would delay the images
 
 Encode = Callable[[Picture, str, int, Form], Future[bytes]]
 
 
 @dataclass(slots=True, eq=False)
 class VideoViewer:
-    """One video connection; it gets nothing until it has said which camera it looks at."""
+    """One video connection; it receives nothing until it has requested a camera."""
 
     socket: web.WebSocketResponse
     camera: str = ""
@@ -46,13 +46,13 @@ class VideoViewer:
 
     @property
     def stream(self) -> tuple[str, int]:
-        """The camera, and the form as an index of FORMS."""
+        """Camera, and index of the form in FORMS."""
         return self.camera, self.window.level
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class _Frame:
-    """An encoded picture; ``about`` and ``layers`` (by name) are pieces of JSON, made once for all viewers."""
+    """An encoded image; ``about`` and ``layers`` (by name) are pieces of JSON, made once for all viewers."""
 
     seq: int
     stamp_ns: int
@@ -63,7 +63,7 @@ class _Frame:
 
 @dataclass(slots=True, eq=False)
 class _Stream:
-    """One camera in one form: the newest raw picture, the newest encoded one, and whether the encoder is at work."""
+    """One camera in one form: the newest raw image, the newest encoded image, and whether the encoder is running."""
 
     raw: tuple[int, str, Picture] | None = None
     raw_seq: int = 0
@@ -76,16 +76,16 @@ _NOTHING = _Stream()
 
 
 class VideoHub:
-    """Encodes and hands out pictures; all methods run in the event loop's thread.
+    """Encodes and distributes images; all methods run in the event loop's thread.
 
     Parameters
     ----------
     desk
-        Gives the overlay, and is told which pictures were handed out.
+        Provides the overlay, and receives the stamps of the distributed images.
     encode
-        Makes a JPEG of a picture, its encoding, a quality and a form.
+        Makes a JPEG from an image, its encoding, a quality and a form.
     quality
-        Returns the JPEG quality in force.
+        Returns the current JPEG quality.
     ros_ns
         Returns ROS time in ns.
     """
@@ -101,12 +101,12 @@ class VideoHub:
         self._tasks: set[asyncio.Task[None]] = set()
         self.encoded = 0
         self.wanted: frozenset[tuple[str, str]] = frozenset()
-        """Layers (name, camera) that somebody looks at now; replaced as a whole, so any thread may read it."""
+        """Layers (name, camera) that a viewer shows now; replaced as a whole, so any thread may read it."""
         self.cameras: frozenset[str] = frozenset()
-        """Cameras that somebody looks at now, likewise."""
+        """Cameras that a viewer shows now; any thread may read it."""
 
     def add(self, viewer: VideoViewer) -> None:
-        """Start to serve a viewer."""
+        """Start serving a viewer."""
         self._viewers.add(viewer)
 
     def remove(self, viewer: VideoViewer) -> None:
@@ -126,7 +126,7 @@ class VideoHub:
         self.cameras = frozenset(viewer.camera for viewer in self._viewers if viewer.camera)
 
     def offer(self, camera: str, stamp_ns: int, encoding: str, picture: Picture) -> None:
-        """Take the newest picture of a camera, (H, W) or (H, W, C) uint8."""
+        """Accept the newest image of a camera, (H, W) or (H, W, C) uint8."""
         self._seqs[camera] += 1
         for level in range(len(FORMS)):
             stream = self._streams[camera, level]
@@ -135,23 +135,23 @@ class VideoHub:
             self._encode_if_wanted((camera, level))
 
     def forget(self, camera: str) -> None:
-        """Show no picture of a camera before the next one comes: it is not listened to while nobody looks."""
+        """Discard the images of a camera: its topic is not subscribed to while no page shows it."""
         for level in range(len(FORMS)):
             stream = self._streams[camera, level]
             stream.raw = stream.frame = None
 
     def newest(self, camera: str) -> tuple[int, str, Picture] | None:
-        """Return stamp, encoding and the newest picture of a camera, None before the first."""
+        """Return stamp, encoding and pixels of a camera's newest image, None before the first."""
         return self._streams[camera, 0].raw
 
     def kick(self, viewer: VideoViewer) -> None:
-        """Call when a viewer can take more or looks at something else."""
-        # What is encoded already may have waited for as long as the last picture took: a newer one comes first.
+        """Serve a viewer again; call when it can accept more or has changed its camera."""
+        # The encoded image may have waited for as long as the last transfer took: encode a newer one first.
         if not self._encode_if_wanted(viewer.stream):
             viewer.changed.set()
 
     def _encode_if_wanted(self, key: tuple[str, int]) -> bool:
-        """Return whether a newer picture is on its way, which wakes its viewers when it is there."""
+        """Return whether a newer image is being encoded; its viewers are woken when it is ready."""
         stream = self._streams.get(key, _NOTHING)
         done = stream.frame.seq if stream.frame else 0
         if stream.encoding or stream.raw is None or stream.raw_seq == done:
@@ -179,18 +179,18 @@ class VideoHub:
                 if viewer.stream == key:
                     viewer.changed.set()
         except (ValueError, OSError) as error:
-            if stream.raw_seq == seq:  # else a newer one has come, which may be better
+            if stream.raw_seq == seq:  # else a newer image has arrived, which may be valid
                 stream.raw = None
-            if stream.complaint != str(error):  # once, not with every picture
+            if stream.complaint != str(error):  # once, not with every image
                 stream.complaint = str(error)
                 _LOG.error("the %s picture cannot be shown: %s", camera, error)
         finally:
             stream.encoding = False
-        # After the viewers have been served: one made ahead would be old before there is room for it.
+        # After the viewers have been served: an image encoded earlier would be old before a viewer can accept it.
         loop.call_soon(self._encode_if_wanted, key)
 
     async def serve(self, viewer: VideoViewer) -> None:
-        """Send pictures to one viewer until its connection ends (cancel this when it does)."""
+        """Send images to one viewer; cancel this task when the connection ends."""
         while True:
             await viewer.changed.wait()
             viewer.changed.clear()
@@ -201,7 +201,7 @@ class VideoHub:
 
     def _message(self, viewer: VideoViewer, frame: _Frame) -> bytes:
         scene = self._desk.scene
-        # Of a picture of the future the page then knows at least how long it has had it.
+        # For an image with a future stamp, the page then has at least the time since it arrived.
         age_ms = max((self._ros_ns() - frame.stamp_ns) / 1e6, 0.0)
         now_s = time.monotonic()  # the bridge's clock in the answers to keep-alives
         parts = [f'{{"age_ms":{age_ms:.1f},"sent_ms":{now_s * 1e3:.1f}', frame.about]

@@ -1,7 +1,7 @@
-"""The operator page's server: aiohttp in a thread of its own, doing what the desk decides.
+"""Web server of the operator page: aiohttp in its own thread, which carries out the desk's effects.
 
-Everything that comes from a page is untrusted: exact Host and Origin, a session cookie, bounded sizes, strict JSON.
-A stop goes out before it is written down; every other command is on disk before it goes out.
+All input from a page is untrusted: exact Host and Origin, a session cookie, bounded sizes, strict JSON. A stop is sent
+before it is recorded; every other command is on disk before it is sent.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from typing import Any
 import numpy.typing as npt
 from aiohttp import WSCloseCode, WSMessage, WSMsgType, web
 
-from icu_common.core.config import ConfigError
+from icu_common.core.configuration.config import ConfigError
 from scope_ui_bridge.adapters import listener as listening
 from scope_ui_bridge.adapters.front_door import FrontDoor
 from scope_ui_bridge.adapters.graph_port import GraphError, GraphPort
@@ -77,15 +77,14 @@ class WebServer:
     """Serves the page.
 
     Parameters
-    ----------
     config
-        Where to listen; limits that may change live are read from ``desk.config``.
+        Address and files; limits that may change at run time are read from ``desk.config``.
     desk, sign_in
-        The decisions; touched by the event loop's thread only, once :meth:`start` has been called.
+        Decisions; used only by the event loop's thread once :meth:`start` has been called.
     graph
-        The way to the graph.
+        Connection to the graph.
     audit
-        Where commands are recorded, or None.
+        File for the records of commands, or None.
     """
 
     def __init__(
@@ -121,13 +120,12 @@ class WebServer:
         self._thread = threading.Thread(target=self._run, name="web", daemon=True)
         self.port = 0
 
-    # --- life ------------------------------------------------------------------------------------------------------
+    # --- start and end -----------------------------------------------------------------------------------------------
 
     def start(self) -> None:
-        """Listen, and return when pages can come.
+        """Start; return when pages can connect.
 
         Raises
-        ------
         ConfigError
             If the address cannot be used or the certificate cannot be read.
         """
@@ -139,7 +137,7 @@ class WebServer:
 
     @property
     def alive(self) -> bool:
-        """Whether pages are served; without it no heartbeat goes out."""
+        """Whether the server runs; without it no heartbeat is sent."""
         return self._thread.is_alive()
 
     def close(self) -> None:
@@ -155,15 +153,15 @@ class WebServer:
             self._audit.close()
 
     def new_token(self, use: Callable[[str], None]) -> None:
-        """Make a new sign-in token and hand it to ``use`` in the server's thread."""
+        """Make a new sign-in token and pass it to ``use`` in the server's thread."""
         self.mailbox.each(lambda: use(self._sign_in.issue_token()))
 
     def post(self, function: Callable[..., list[Effect]], *arguments: Any) -> None:
-        """Call a function of the desk in the server's thread, with the clocks last, and carry out its effects."""
+        """Call a function of the desk, with the clocks last, in the server's thread, and carry out its effects."""
         self.mailbox.each(lambda: self._carry_out(function(*arguments, self._now())))
 
     def post_value(self, function: Callable[..., None], *arguments: Any) -> None:
-        """Call a function of the desk with the clocks last; in the server's thread only (through the mailbox)."""
+        """Call a function without effects, with the clocks last; in the server's thread only (through the mailbox)."""
         function(*arguments, self._now())
 
     def _run(self) -> None:
@@ -180,7 +178,7 @@ class WebServer:
         certificate, key = self._config.tls_certificate, self._config.tls_key
         try:
             context.load_cert_chain(certificate, key)
-        except OSError as error:  # which names neither file
+        except OSError as error:  # its message names neither file
             raise ValueError(f"tls_certificate = {certificate!r}, tls_key = {key!r}: {error}") from error
         return context
 
@@ -247,12 +245,12 @@ class WebServer:
             self.door.turned_away.note(request.remote or "", "stop", "not signed in")
             return web.json_response({"ok": False, "code": "signed_out"}, status=401)
         self._carry_out(self._stop_path.effects_of(request, session, self._desk, self._now()))
-        if "text/html" in request.headers.get("Accept", ""):  # the form without its script
+        if "text/html" in request.headers.get("Accept", ""):  # the form was sent without its script
             return web.Response(status=303, headers={"Location": "/"})
         return web.json_response({"ok": True})
 
     async def _held_picture(self, request: web.Request) -> web.StreamResponse:
-        """Show the picture that a panel is pointed at in, at full size."""
+        """Answer with the held image for teaching a panel, at full size."""
         session = self.door.session(request)
         if session is None or not session.role.may(Role.ENGINEER):
             raise web.HTTPUnauthorized(reason="engineers only")
@@ -279,7 +277,7 @@ class WebServer:
         if not self._opened[session.name].take(time.monotonic()):
             self.door.turned_away.note(session.name, "connection", f"more than {OPENED_PER_S:g} a second")
             raise web.HTTPTooManyRequests(reason="too many connections")
-        # No autoping: the library would answer pings unseen, and a client could delay the check for silence with them.
+        # No autoping: the library would answer pings itself, and a client could delay the check for silence with them.
         socket = web.WebSocketResponse(
             max_msg_size=_HARD_LIMIT, compress=False, heartbeat=5.0, timeout=1.0, autoping=False
         )
@@ -326,7 +324,7 @@ class WebServer:
                     self._note_broken(session, message)
                     break
                 now_in = self.door.session(request)
-                if now_in is None:  # signed out, or the session's time is over
+                if now_in is None:  # signed out, or the session has expired
                     gone = "stopped_signed_out"
                     break
                 self._desk.signed_in(viewer, now_in.ends_s)
@@ -359,7 +357,7 @@ class WebServer:
                 self.door.turned_away.note(name, f"message {effect.message['code']}", encode(effect.message["values"]))
 
     def _note_broken(self, session: Session, message: WSMessage) -> None:
-        if message.type is WSMsgType.ERROR:  # too large, or no WebSocket frame at all: the connection ends
+        if message.type is WSMsgType.ERROR:  # too large, or no valid WebSocket frame: the connection ends
             self.door.turned_away.note(session.name, "frame", str(message.data)[:80])
 
     async def _video(self, request: web.Request) -> web.StreamResponse:
@@ -391,7 +389,7 @@ class WebServer:
         return await (throw_out(request, socket) if flooding else self._ended(socket))
 
     async def _ended(self, socket: web.WebSocketResponse) -> web.WebSocketResponse:
-        """Close with the server's reason: aiohttp 3.9 takes the end of a handler for a normal closure."""
+        """Close with the server's reason: aiohttp 3.9 treats the end of a handler as a normal closure."""
         if self._closing.is_set():
             await close(socket)
         return socket
@@ -444,8 +442,8 @@ class WebServer:
         try:
             outbox.put_nowait(text)
         except asyncio.QueueFull:
-            # A page that takes nothing for so long is gone or frozen; its queue must not grow. Without some of the
-            # messages it would show what holds no more; when it connects again it is told everything anew.
+            # A page with a full queue is gone or frozen; the queue must not grow. If messages were dropped instead, the
+            # page would show an outdated state. A page that reconnects receives the whole state.
             _LOG.warning("viewer %s takes no messages: its connection is ended", viewer)
             del self._outboxes[viewer]
             if viewer in self._transports:
@@ -485,13 +483,14 @@ class WebServer:
         self.post(self._desk.service_answered, entry, success, text)
 
     def _write(self, record: dict[str, Any]) -> Future[None]:
-        """Hand a record to the writer, behind all others; the future is done when it is on disk.
+        """Queue a record for the writer; the future is done when the record is on disk.
 
-        At once, and not by a task: those end with the event loop, and the last stop comes from its end.
+        The call queues at once, without a task: tasks end with the event loop, and the last stop is sent when the loop
+        ends.
         """
         try:
             return self._writer.submit(self._append, record)
-        except RuntimeError as error:  # after the end
+        except RuntimeError as error:  # the writer has ended
             failed: Future[None] = Future()
             failed.set_exception(OSError(str(error)))
             return failed

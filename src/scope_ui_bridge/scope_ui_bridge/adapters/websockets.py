@@ -12,7 +12,7 @@ from aiohttp import WSCloseCode, WSMessage, WSMsgType, web
 from scope_ui_bridge.core.admission.rates import Bucket
 
 LOOK_S = 1.0
-"""Maximum seconds between checks that a connection's user is still signed in, and may listen."""
+"""Maximum seconds between checks that a connection's user is still signed in and may receive messages."""
 _FAREWELL_S = 0.2
 _TOO_MANY_PINGS = WSMessage(WSMsgType.ERROR, "too many pings", None)
 

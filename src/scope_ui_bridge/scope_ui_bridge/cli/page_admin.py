@@ -1,6 +1,6 @@
-"""Manage the operator page from the terminal: passwords, a certificate, checks of the audit file.
+"""Manage the operator page from the terminal: passwords, certificate, check of the audit file.
 
-Exit codes: 0 done, 1 failed or not intact (with the reason), 2 wrong usage.
+Exit codes: 0 done, 1 failed or audit file not intact (with the reason), 2 wrong usage.
 """
 
 from __future__ import annotations
@@ -16,24 +16,24 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from icu_common.adapters.program_end import ends_quietly
+from icu_common.adapters.processes.program_end import ends_quietly
 from icu_common.adapters.state_folder import default_state_folder
-from icu_common.core.option_bounds import named_path
+from icu_common.core.configuration.option_bounds import named_path
 from scope_ui_bridge.adapters.secret_files import older_files, read_users, write_secret
 from scope_ui_bridge.core.audit import BAD_BYTES, AuditError, gaps, line_before, verify
 from scope_ui_bridge.core.config import BridgeConfig
 from scope_ui_bridge.core.passwords import PasswordError, Role, composed, new_user
 
-_DAYS = 825  # what browsers take at most
-_MAX_COMMON_NAME = 64  # of X.520; browsers read the names beside it
+_DAYS = 825  # maximum that browsers accept
+_MAX_COMMON_NAME = 64  # limit of X.520; browsers read the alternative names instead
 
 
 class AdminError(Exception):
-    """It could not be done; the message says why."""
+    """The command failed; the message is the reason."""
 
 
 def parser() -> argparse.ArgumentParser:
-    state = default_state_folder()  # of a robot without a namespace
+    state = default_state_folder()  # for a robot without a namespace
     result = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     commands = result.add_subparsers(dest="command", required=True)
     password = commands.add_parser("password", help="let somebody sign in by name, or change role or password")
@@ -51,11 +51,11 @@ def parser() -> argparse.ArgumentParser:
 
 
 def change_password(name: str, role: str, path: Path, password: str | None) -> str:
-    """Put a user into the file, or take it out (``password`` None); return what was done."""
+    """Write a user to the file, or remove it (``password`` None); return a sentence about the change."""
     name = composed(name)
     users = read_users(path) if path.exists() else {}
     before = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
-    lines = [line for line in before if composed(line.strip().partition(":")[0]) != name]  # comments of people stay
+    lines = [line for line in before if composed(line.strip().partition(":")[0]) != name]  # people's comments are kept
     if password is None:
         if name not in users:
             raise AdminError(f"{name!r} is not in {path}")
@@ -66,7 +66,7 @@ def change_password(name: str, role: str, path: Path, password: str | None) -> s
 
 
 def ask_password() -> str:
-    """Ask twice on a terminal; else read one line."""
+    """Prompt twice on a terminal; otherwise read one line."""
     if not sys.stdin.isatty():
         return sys.stdin.readline().rstrip("\n")
     first = getpass.getpass("Password: ")
@@ -76,7 +76,7 @@ def ask_password() -> str:
 
 
 def make_certificate(hosts: Sequence[str], folder: Path) -> str:
-    """Make key and certificate with openssl; return what was done and how it is used."""
+    """Make key and certificate with openssl; return their paths, fingerprint and use."""
     program = shutil.which("openssl")
     if program is None:
         raise AdminError("openssl is not installed (Debian and Ubuntu: apt install openssl)")
@@ -103,7 +103,7 @@ def make_certificate(hosts: Sequence[str], folder: Path) -> str:
         check=True,
     ).stdout.strip()
     use = [f"host={hosts[0]}", f"tls_certificate={certificate}", f"tls_key={key}"]
-    if hosts[1:]:  # the bridge answers to no other name than its host's
+    if hosts[1:]:  # the bridge accepts only its host's name by default
         further = (f"[{host}]" if ":" in host else host for host in hosts[1:])
         use.append("extra_origins=" + " ".join(f"https://{host}:{BridgeConfig().port}" for host in further))
     settings = " ".join(f"--set {shlex.quote(f'ui_bridge.{text}')}" for text in use)
@@ -123,7 +123,7 @@ def _kind(host: str) -> str:
 
 
 def check_audit(path: Path, noted: str | None) -> str:
-    """Check a chain, from the oldest file that was put aside; ``noted`` is a hash that must be one of its lines'."""
+    """Check a chain from its oldest file on; ``noted`` is a hash that one of its lines must have."""
     files = [*older_files(path), path]
     with files[0].open(encoding="utf-8", errors=BAD_BYTES) as lines:
         gone, last = line_before(next(lines, ""))
@@ -139,7 +139,8 @@ def check_audit(path: Path, noted: str | None) -> str:
             count, last = verify(text, count, last)
         except AuditError as error:
             raise AuditError(f"{file}: {error}") from error
-        # Each line names the hash of the one before, so a noted hash stands in the line after it, or is the last one's.
+        # Each line has the hash of the previous one, so the noted hash is in the line after it, or belongs to the last
+        # line.
         lost += gaps(text)
         known = known or noted == last or any(f'"previous":"{noted}"' in line for line in text)
     if not known:
@@ -150,7 +151,7 @@ def check_audit(path: Path, noted: str | None) -> str:
 
 
 def run(options: argparse.Namespace) -> str:
-    """Carry a command out."""
+    """Carry out a command."""
     if options.command == "password":
         password = None if options.remove else ask_password()
         return change_password(options.name, options.role, options.file.expanduser(), password)

@@ -1,6 +1,6 @@
 """The chain of command records: JSON lines, each with the SHA-256 of the line before.
 
-It may be cut into several files between two lines: the first line of a file then names the last one of the file before.
+The chain may be split into several files: the first line of a file then has the hash of the previous file's last line.
 """
 
 from __future__ import annotations
@@ -14,11 +14,11 @@ from typing import Any
 
 START = "0" * 64
 BAD_BYTES = "backslashreplace"
-"""How a file is to be read: a byte that is no text becomes what no JSON has, and its line is named as damaged."""
+"""Decoding error handler for audit files: an invalid byte becomes text that is no JSON, so its line is damaged."""
 
 
 class AuditError(ValueError):
-    """The chain is broken; the message names the line."""
+    """Broken chain; the message names the line."""
 
 
 def chain_line(number: int, previous: str, record: dict[str, Any]) -> tuple[str, str]:
@@ -28,7 +28,7 @@ def chain_line(number: int, previous: str, record: dict[str, Any]) -> tuple[str,
 
 
 GAP = "records lost"
-"""Command of the line in place of records that could not be written, for example on a full disk."""
+"""Command of the line that replaces records that could not be written, for example on a full disk."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -44,13 +44,13 @@ class Gap:
         return Gap(count=self.count + 1, from_s=min(self.from_s, wall_s), until_s=max(self.until_s, wall_s))
 
     def record(self) -> dict[str, Any]:
-        """Return the line that notes it."""
+        """Return the record of the gap."""
         values = {"lost": self.count, "from_s": self.from_s, "until_s": self.until_s}
         return {"wall_s": self.until_s, "who": "the bridge", "command": GAP, **values}
 
 
 def gaps(lines: Iterable[str]) -> list[str]:
-    """Return a sentence for each gap that the lines of an intact file note."""
+    """Return a sentence for each gap recorded in an intact file."""
     entries = (json.loads(line) for line in lines if f'"command":"{GAP}"' in line)
     found = ((entry["lost"], _shown(entry["from_s"]), _shown(entry["until_s"])) for entry in entries)
     return [f"records lost between {begin} and {end}: {count}" for count, begin, end in found]
@@ -61,19 +61,19 @@ def _shown(wall_s: float) -> str:
 
 
 def verify(lines: Iterable[str], count: int = 0, previous: str = START) -> tuple[int, str]:
-    """Return the number of the last line of an intact chain, and that line's hash.
+    """Return number and hash of the last line of an intact chain.
 
     Parameters
     ----------
     lines
-        Of one file.
+        Lines of one file.
     count, previous
-        Number and hash of the line before the first one: of the file before.
+        Number and hash of the previous file's last line.
 
     Raises
     ------
     AuditError
-        If a line was changed, removed, inserted or cut short; its place in this file is named.
+        If a line was changed, removed, inserted or truncated; the message has its position in this file.
     """
     for place, line in enumerate(lines, start=1):
         text = line.rstrip("\n")
@@ -89,7 +89,7 @@ def verify(lines: Iterable[str], count: int = 0, previous: str = START) -> tuple
 
 
 def line_before(line: str) -> tuple[int, str]:
-    """Return number and hash of the line before this one, as it names them; the chain's beginning where it is none."""
+    """Return number and hash of the previous line as named in this line; the chain's start if it names none."""
     try:
         entry = json.loads(line)
         return int(entry["n"]) - 1, str(entry["previous"])

@@ -1,6 +1,6 @@
-"""The operator's desk: what pages may do, what goes out to the graph, and when to stop. Messages in, effects out.
+"""The operator's desk: which actions pages may take, which orders go to the graph, and when to stop.
 
-No clock, socket or ROS here: every call gets :class:`Now` and returns the effects for the server to carry out.
+It has no clock, socket or ROS: every call takes :class:`Now` and returns the effects for the server to carry out.
 """
 
 from __future__ import annotations
@@ -12,11 +12,11 @@ from typing import Any
 
 import numpy as np
 
-from icu_common.core.delays import ResultCode
-from icu_common.core.frames import BASE, CAMERA_LEFT
-from icu_common.core.geometry import Array
-from icu_common.core.gesture import Point
-from icu_common.core.results import GoalResult, Outcome
+from icu_common.core.geometry.frames import BASE, CAMERA_LEFT
+from icu_common.core.geometry.geometry import Array
+from icu_common.core.goals.results import GoalResult, Outcome
+from icu_common.core.panel.gesture import Point
+from icu_common.core.processes.delays import ResultCode
 from scope_ui_bridge.core import command_log, wire
 from scope_ui_bridge.core.admission.places import KEPT_PLACES
 from scope_ui_bridge.core.admission.rates import OfUsers, UserBudget
@@ -63,9 +63,10 @@ from scope_ui_bridge.core.teaching import HeldPicture, teaching_text
 from scope_ui_bridge.core.viewer import FLOODING, SHORT, Viewer
 
 HEARTBEAT_PERIOD_S = 0.1
-"""The newest beat that the driver has is, at the next one, at most that one's own delay and 0.1 s old.
+"""Seconds between heartbeats.
 
-So of the driver's patience (0.6 s) 0.5 s are left for a bridge that is held up on a busy computer.
+When the next beat arrives late, the driver's newest beat is at most that delay plus 0.1 s old. So 0.5 s of the driver's
+timeout (0.6 s) remain for the delay of a bridge on a busy computer.
 """
 STATE_PERIOD_S = (0.1, 1.0)
 _SAME_STOP_S = 0.5
@@ -73,27 +74,27 @@ _WATCHDOG, _RECORDER = "Watchdog", "bag_record"
 _TIP_SEEN_NS = 1_000_000_000
 _CLOCK_JUMP_NS = 100_000_000
 _SETS_OUT_S = 1.0
-"""A way is told before the state of what moves along it, at most so long: then no driver takes it any more."""
-_MAX_LINES = 40  # in one tick
-_KEPT_LINES = 100  # for engineers who come later
+"""How long a published path may precede the `moving` state; the driver rejects it afterwards."""
+_MAX_LINES = 40  # per tick
+_KEPT_LINES = 100  # for engineers who connect later
 _REMEMBERED = 32  # users who have or have had control
 _FOR_ENGINEERS = ("accept_settings",)
 _MOVE = ("home", "calibrate")
 
 
 class Desk:
-    """All pages and the machine they look at.
+    """All pages and the machine that they operate.
 
     Parameters
     ----------
     config
         Limits; may be replaced while running.
     boot_id
-        Names this run of the server; messages of pages that knew another run are refused.
+        Id of this run of the server; messages for another run are refused.
     title
-        The instrument's name for people.
+        Name of the instrument as shown to people.
     robot
-        Tells this robot from others that a browser may reach under the same address, also after a restart.
+        Id of this robot, constant over restarts: a browser may reach another robot under the same address.
     """
 
     def __init__(self, config: BridgeConfig, boot_id: str, title: str = "", robot: str = "") -> None:
@@ -138,7 +139,7 @@ class Desk:
     # --- pages -----------------------------------------------------------------------------------------------------
 
     def begun(self, now: Now) -> list[Effect]:
-        """Return the first line of this run in the audit file: nobody has control then, however the last one ended."""
+        """Return this run's first line in the audit file: no page has control, however the last run ended."""
         return [Record(record=record("the bridge", "start", self.boot_id, now))]
 
     @property
@@ -149,7 +150,7 @@ class Desk:
     def join(self, name: str, role: Role = Role.OPERATOR, by_password: bool = False) -> tuple[str, dict[str, Any]]:
         """Add a page of the user ``name``; return its id and the first message for it.
 
-        ``by_password`` tells the page what its user signs in with.
+        ``by_password`` is whether its user signs in by password or by token.
 
         Raises
         ------
@@ -194,11 +195,11 @@ class Desk:
         }
 
     def signed_in(self, viewer: str, until_s: float) -> None:
-        """Note when the sign-in of a page ends, by the monotonic clock; who signs in again in time puts that off."""
+        """Set the end of a page's sign-in, in monotonic seconds; signing in again before it extends it."""
         self._viewers[viewer].signed_in_until_s = until_s
 
     def leave(self, viewer: str, now: Now, code: str = "stopped_page_gone") -> list[Effect]:
-        """Remove a page; when it was the operator's and something moves, stop: ``code`` says why it is gone."""
+        """Remove a page; stop if it was the operator's and something moves. ``code`` is the reason for its end."""
         effects = self._lose_lease(viewer, code, now)
         self._viewers.pop(viewer, None)
         return effects
@@ -216,7 +217,7 @@ class Desk:
             if not unlimited:
                 page.limit(len(text), longest, now.mono_s)
             message = wire.decode(text)
-            if isinstance(message, wire.Stop):  # before every other check: a stop is always good
+            if isinstance(message, wire.Stop):  # before every other check: a stop is always accepted
                 effects = self.stop(page.name, now, press=message.press)
                 return [*effects, self._answer(viewer, message.seq)]
             if unlimited:
@@ -282,10 +283,10 @@ class Desk:
     # --- stop, lease, keep-alive -----------------------------------------------------------------------------------
 
     def stop(self, who: str, now: Now, code: str = "", press: str = "", silence_s: float = 0.0) -> list[Effect]:
-        """Stop, for whoever asks; ``code`` says why when it was not a person, ``silence_s`` how long something missed.
+        """Stop; ``code`` is the cause if it was not a person, ``silence_s`` how long a signal was missing.
 
-        One press of the button arrives on two ways, which ``press`` (or half a second) tells. The stop has gone out
-        then; a second one would end the driver's lifting of the stylus (docs/decisions/stopping.md).
+        One press of the button arrives by two paths; ``press`` (or half a second) identifies it. The stop has already
+        been sent then: a second stop would end the driver's lifting of the stylus (docs/decisions/stopping.md).
         """
         self.stops += 1
         self._jog = None
@@ -303,12 +304,12 @@ class Desk:
         return [StopNow(entry=entry.entry, record=record(who, "stop", code, now)), shown(entry)]
 
     def stop_overtakes(self, viewer: str, who: str, seq: int) -> None:
-        """Take no more orders of ``who``'s page up to ``seq``: STOP was pressed since, which came by a quicker way."""
+        """Refuse orders of ``who``'s page up to ``seq``: a STOP pressed after them arrived first by a faster path."""
         if viewer in self._viewers and self._viewers[viewer].name == who:
             self._viewers[viewer].stopped(seq)
 
     def tick(self, now: Now) -> list[Effect]:
-        """Call every 50 ms: heartbeat, watchdogs, answers that did not come, state for the pages."""
+        """Return the periodic effects (heartbeat, watchdogs, timeouts, state for the pages); call every 50 ms."""
         effects: list[Effect] = []
         self._ros_ns, self._now_s, self._ticked_s = now.ros_ns, now.mono_s, now.mono_s
         self._causes.tick(self.machine.state("driver")[0], now.mono_s)
@@ -322,7 +323,7 @@ class Desk:
         if self._causes.wants_ping(silence):
             effects.append(Ping(viewer=self.lease.holder))
         effects += self._watch(silence, now)
-        if self.machine.state("driver")[0] == "stopped":  # its answer may be lost on an overloaded computer
+        if self.machine.state("driver")[0] == "stopped":  # its answer to the stop may be lost on an overloaded computer
             for number in self._log.open_entries("stop"):
                 effects += self.service_answered(number, True, "", now)
         effects += self._log.expire(self.machine.active, self.config.answer_timeout_s, now)
@@ -340,12 +341,12 @@ class Desk:
         return effects
 
     def pong(self, viewer: str) -> None:
-        """Note that the browser of a page has answered a :class:`Ping`."""
+        """Record that the browser of a page has answered a :class:`Ping`."""
         if viewer == self.lease.holder:
             self._causes.answered()
 
     def said(self, line: dict[str, Any]) -> None:
-        """Keep what a program of the graph said (wall_ms, level, name, text) for the engineers' consoles."""
+        """Keep a log line of a program of the graph (wall_ms, level, name, text) for the engineers' consoles."""
         if len(self._said) < _MAX_LINES:
             self._said.append(line)
 
@@ -379,7 +380,7 @@ class Desk:
         return []
 
     def _stop_unseen(self, code: str, silence_s: float, now: Now) -> list[Effect]:
-        if self._last_stop[1:] == (_WATCHDOG, self._log.count):  # nothing was begun since
+        if self._last_stop[1:] == (_WATCHDOG, self._log.count):  # nothing was started since
             return []
         return self.stop(_WATCHDOG, now, code, silence_s=silence_s)
 
@@ -394,7 +395,7 @@ class Desk:
         return [*effects, passed, *self._clear_selection()]
 
     def _passed(self, who: str, command: str, page: str, now: Now, target: str = "", **more: str) -> Record:
-        """Return the line of the audit file that tells who has control from now on; ``page`` got it, or had it."""
+        """Return the line of the audit file about a change of control; ``page`` is the page that got or had it."""
         passed = {"result": "done", "page": page, "epoch": self.lease.epoch}
         return Record(record=record(who, command, target, now) | passed | more)
 
@@ -433,10 +434,10 @@ class Desk:
         return [_selection_shown(None)] if had else []
 
     def still_wanted(self, order: Order, now: Now) -> bool:
-        """Tell whether an order may still go out: no stop and no change of hands since, and it was not given up.
+        """Return whether an order may still be sent: no stop and no change of control since, and not given up.
 
-        A step of a jog also needs that it is held, or was asked for a moment ago. A bridge that stood still has not yet
-        looked whether anybody is there.
+        A jog step must also still be held, or recently requested. A bridge that was suspended sends nothing until its
+        next tick has checked whether the page is still there.
         """
         if now.mono_s - self._ticked_s > self.config.silence_stop_s:
             return False
@@ -451,7 +452,7 @@ class Desk:
     def _select(self, message: wire.Select, now: Now) -> list[Effect]:
         if not message.control and message.point_px is None and message.line_m is None:
             return self._clear_selection()
-        # A click that is refused leaves nothing selected: a confirmation after it would not mean what was before.
+        # A refused click clears the selection: a confirmation after it would not mean the previous one.
         self._selection = None
         self.machine.check_frame(message.camera, message.stamp_ns, self.config, now)
         pose = self.machine.check_recognition(self.scene.camera_from_panel, self.config, now)
@@ -463,7 +464,7 @@ class Desk:
         selection = self._selection
         if selection is None or selection.number != message.selection:
             raise Refusal("selection_gone")
-        if selection.faces != self.scene.faces:  # another panel may bear a control of the same name
+        if selection.faces != self.scene.faces:  # another panel may have a control of the same name
             self._selection = None
             raise Refusal("selection_gone")
         goal_id = f"ui-{self.boot_id[:6]}-{self._log.count + 1}"
@@ -510,7 +511,7 @@ class Desk:
         self._viewers[viewer].need(Role.ENGINEER)
         if self.moving:
             raise Refusal("busy_moving")
-        if self._log.at_work("teach"):  # with the picture that is held now
+        if self._log.at_work("teach"):  # it uses the image that is held now
             raise Refusal("busy_pending")
         if isinstance(message, wire.Hold):
             return [HoldPicture(viewer=viewer)]
@@ -520,7 +521,7 @@ class Desk:
         return [SendTeaching(**self._marks(entry, f"teach {text}", {}, now), text=text), shown(entry)]
 
     def picture_held(self, viewer: str, held: HeldPicture | None) -> list[Effect]:
-        """Note which picture is kept, and tell the page that wanted it."""
+        """Set the held image, and send its stamp and size to the page that requested it."""
         self.held = held
         if held is None:
             return [Send(viewer=viewer, message={"type": "held", "stamp": ""})]
@@ -528,7 +529,7 @@ class Desk:
         return [Send(viewer=viewer, message={"type": "held", "stamp": str(held.stamp_ns), **size})]
 
     def taught(self, result: GoalResult, now: Now) -> list[Effect]:
-        """Note perception's answer to a lesson."""
+        """Process perception's answer to a lesson."""
         known = self._log.goal(result.goal_id)
         if known is None:
             return []
@@ -537,16 +538,16 @@ class Desk:
         return [Broadcast(message=details), *self._log.ended(known, result, now)]
 
     def set_state(self, part: str, text: str) -> None:
-        """Note the state of driver, controller, calibration or sequencer; empty when there is none."""
+        """Set the state of driver, controller, calibration or sequencer; empty if the node is missing."""
         self.machine.set_state(part, text)
         state, reason = self.machine.state(part)
-        if part == "controller" and state == "stopped":  # at rest no goal's answer names the cause
+        if part == "controller" and state == "stopped":  # at rest, no result of a goal contains the cause
             self._causes.aborted(reason, self._now_s)
         if part == "sequencer":
             self.sequence.set_state(text)
 
     def sequence_result(self, result: GoalResult, now: Now) -> list[Effect]:
-        """Note an answer of the sequencer, to this page's sequences or anybody's."""
+        """Process a result of the sequencer, for a sequence from here or from another client."""
         self.sequence.result(result)
         return self.result(result, now)
 
@@ -608,7 +609,7 @@ class Desk:
         return self._log.add(self._name(viewer), action, target, now, status="sent", goal_id=goal_id)
 
     def _new_stamp_ns(self, now: Now) -> int:
-        """Return a stamp later than the last one, unless the clock was set back: stamps of the future are refused."""
+        """Return a stamp later than the last one, unless the clock was set back: future stamps are refused."""
         later_ns = self._last_goal_ns + 1
         self._last_goal_ns = later_ns if 0 < later_ns - now.ros_ns < _CLOCK_JUMP_NS else now.ros_ns
         return self._last_goal_ns
@@ -624,10 +625,11 @@ class Desk:
 
     def _call(self, viewer: str, message: wire.Call, now: Now) -> list[Effect]:
         service, late_s = message.service, now.mono_s - message.sent_s
-        limit_s = 2 * self.config.frame_max_age_s  # all else names a picture; a link may be too slow for these
+        limit_s = 2 * self.config.frame_max_age_s  # all other orders name an image; a link may be too slow for images
         if late_s > limit_s and service != "disable":
             raise Refusal("came_late", late_ms=round(late_s * 1e3), limit_ms=round(limit_s * 1e3))
-        # Another page's STOP overtakes it on a slow link: a reset would undo what its operator has not seen.
+        # Another page's STOP can overtake this call on a slow link: a reset would undo a stop that its sender has not
+        # seen.
         if message.sent_s < self._wanted_stop_s and service != "disable":
             raise Refusal("before_stop")
         if service in _MOVE:
@@ -641,7 +643,7 @@ class Desk:
     # --- answers ---------------------------------------------------------------------------------------------------
 
     def order_failed(self, order: Order, reason: str, now: Now) -> list[Effect]:
-        """Note that an order did not go out (no controller, audit file not writable, stopped in between)."""
+        """Record that an order was not sent (no controller, audit file not writable, stopped meanwhile)."""
         entry = self._log.open_entry(order.entry)
         if entry is None:
             return []
@@ -652,34 +654,34 @@ class Desk:
         return [shown(changed), command_log.result_record(changed, now)]
 
     def service_answered(self, number: int, success: bool, text: str, now: Now) -> list[Effect]:
-        """Note the answer of a service that log entry ``number`` asked, or of the driver to a stop."""
+        """Process the answer of a service to log entry ``number``, or of the driver to a stop."""
         entry = self._log.open_entry(number) or self._log.given_up(number=number)
         if entry is None:
             return []
-        refused = "failed" if entry.action == "stop" else "rejected"  # nobody refuses a stop
+        refused = "failed" if entry.action == "stop" else "rejected"  # a stop is never refused
         changed = self._log.update(entry, status="done" if success else refused, reason=text)
         return [shown(changed), command_log.result_record(changed, now)]
 
     def recording_ended(self, success: bool, text: str, now: Now) -> list[Effect]:
-        """Note that a recording has ended without having been asked to."""
+        """Record that a recording has ended by itself."""
         entry = self._log.add(_RECORDER, "end_record", "", now, status="done" if success else "failed")
         changed = self._log.update(entry, reason=text)
         return [shown(changed), command_log.result_record(changed, now)]
 
     def result(self, result: GoalResult, now: Now) -> list[Effect]:
-        """Note an answer of the controller, to this page's commands or anybody's."""
+        """Process a result of the controller, for a command from here or from another client."""
         if result.outcome is Outcome.ABORTED:
             self._causes.aborted(result.reason, now.mono_s)
         known = self._log.goal(result.goal_id) or self._log.given_up(goal_id=result.goal_id)
         if known is None:
             if result.outcome.final and result.outcome is not Outcome.REJECTED:
-                return []  # the end of something whose beginning was long ago
+                return []  # the end of a goal that this log no longer contains
             who = self.sequence.owner_of(result.goal_id) or "Graph"
             action, target = goal_words(result.goal.partition(" id=")[0], self.scene.faces)
             known = self._log.add(who, action, target, now, status="accepted", goal_id=result.goal_id)
         jog = self._jog
         if jog is not None and jog.entry == known.entry and result.outcome.final:
-            # A step that reached the controller too late is sent again: whoever ordered it still holds the button.
+            # A step that reached the controller too late is sent again: the button is still held.
             late = result.outcome is Outcome.REJECTED and result.code == ResultCode.STALE
             goes_on = late or result.outcome is Outcome.REACHED
             if goes_on and now.mono_s < jog.until_s and self.lease.holder == jog.viewer:
@@ -687,12 +689,12 @@ class Desk:
                 known = self._log.update(known, goal_id=goal_id, sent_s=now.graph_s, status="sent")
                 return [self._jog_step(known, now, again=late)]
             self._jog = None
-            if result.outcome is not Outcome.REACHED:  # as at a limit: what is held on to is not tried again
+            if result.outcome is not Outcome.REACHED:  # as at a limit: the same held direction is not tried again
                 self._refused_jog = (jog, result.reason)
         return self._log.ended(known, result_words(result, self.scene.faces), now)
 
     def set_path(self, path: Array) -> None:
-        """Take the way that the tip is sent along now, (N, 3) m in base_link; it begins where the tip is."""
+        """Set the path published for the tip, (N, 3) m in base_link; it starts at the tip's position."""
         start = self._tip()
         self.scene.path = path if start is None else np.vstack([start, path])
         self._sets_out_until_s = self._now_s + _SETS_OUT_S
@@ -704,9 +706,9 @@ class Desk:
         return np.array([*position[:2], -position[2]])
 
     def path(self, camera: str) -> dict[str, Any]:
-        """Return the tip's way in pixels: the one it is sent along, or (``planned``) to the selection.
+        """Return the tip's path in pixels: the current one, or the planned one (``planned``) to the selection.
 
-        While a goal waits for its first path, nothing is shown rather than the last one.
+        While a goal waits for its first path, none is shown, not even the last one.
         """
         if self.moving:
             self._sets_out_until_s = -math.inf
@@ -722,7 +724,7 @@ class Desk:
 
     @property
     def moving(self) -> bool:
-        """Whether something moves or is about to."""
+        """Whether the machine moves or a motion has been ordered."""
         return self.machine.active or self._log.motion_waiting
 
     def _snapshot(self, now: Now) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""What the desk wants done; the server does it. Frozen values, so that tests can compare them."""
+"""Effects: actions that the desk returns and the server carries out. Frozen values, so that tests can compare them."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ class Now:
     Attributes
     ----------
     mono_s
-        Monotonic seconds, for what guards people: sign-in, control, the page's keep-alives.
+        Monotonic seconds, for limits that protect people: sign-in, control, the page's keep-alives.
     ros_ns
         ROS time in ns.
     wall_s
         The system's time in seconds.
     simulated
-        Whether ROS time is simulated or recorded, and may be slower than the others.
+        Whether ROS time is simulated or recorded, and may be slower than the other clocks.
     """
 
     mono_s: float
@@ -30,7 +30,7 @@ class Now:
 
     @property
     def graph_s(self) -> float:
-        """Seconds by which the graph's messages and answers are late; monotonic where ROS time is the system's."""
+        """Seconds for delays of the graph's messages and answers: ROS time if it is simulated, else monotonic."""
         return self.ros_ns / 1e9 if self.simulated else self.mono_s
 
 
@@ -51,26 +51,26 @@ class Broadcast:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class End:
-    """End the connection of a viewer that was told to slow down and did not."""
+    """End the connection of a viewer that ignored the request to slow down."""
 
     viewer: str
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Heartbeat:
-    """Tell the driver that an operator is there."""
+    """Publish the operator's heartbeat to the driver."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Ping:
-    """Ask the browser of a viewer's page whether it is there, below the page's own script."""
+    """Ping the browser of a viewer's page; browsers answer without the page's script."""
 
     viewer: str
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StopNow:
-    """Stop, before anything else; ``record`` is written afterwards. Log entry ``entry`` is told what is answered."""
+    """Stop, before all other effects; ``record`` is written afterwards. The answer belongs to log entry ``entry``."""
 
     entry: int
     record: dict[str, Any] = field(default_factory=dict)
@@ -78,17 +78,17 @@ class StopNow:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Record:
-    """Something for the audit file that moves nothing (a result, a sign-in)."""
+    """A record for the audit file about something that moves nothing (a result, a sign-in)."""
 
     record: dict[str, Any]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Order:
-    """Something that may move the machine; ``record`` is on disk before it goes out.
+    """An order that may move the machine; ``record`` is on disk before it is sent.
 
-    It is dropped when the desk has stopped, changed hands or given it up in between, or when it goes on being written
-    after ``until_s`` (monotonic), see ``Desk.still_wanted``.
+    It is dropped if, before it is sent, the desk has stopped, control has changed, the desk has given the order up, or
+    ``until_s`` (monotonic) has passed, see ``Desk.still_wanted``.
     """
 
     entry: int
@@ -114,7 +114,7 @@ class SendSequence(Order):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SendGoal(Order):
-    """A point for /gantry/goal: pixels of the left picture, or metres of base_link; ``stamp_ns`` is its name."""
+    """A point for /gantry/goal: pixels of the left image, or metres in base_link; ``stamp_ns`` is its id."""
 
     frame: str
     point: tuple[float, float]
@@ -123,14 +123,14 @@ class SendGoal(Order):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HoldPicture:
-    """Keep the newest left picture, and tell this viewer which it is."""
+    """Hold the newest left image, and send its stamp to this viewer."""
 
     viewer: str
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SendTeaching(Order):
-    """A request to make a panel of what was pointed at in the held picture."""
+    """A request to make a panel layout from the points marked in the held image."""
 
     text: str
 

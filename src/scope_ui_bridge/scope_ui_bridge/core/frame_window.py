@@ -1,9 +1,10 @@
-"""Which pictures a viewer has got and not yet drawn, and in which form its link can take them.
+"""Flow control of images to one viewer: images sent and not yet drawn, and the form that suits its link.
 
-At most two are under way and only the newest is worth sending. When they take long to arrive, the viewer gets a lighter
-form, one at a time, at once so light that it should do; heavier ones are tried step by step, less and less often while
-they fail. A step is small enough that a failed try is late by a tenth of a second at most. What counts is the time
-from sending to the acknowledgement after drawing, so no clocks have to agree.
+At most two images are in flight, and only the newest is worth sending. If they take long to arrive, the viewer gets a
+lighter form, one image at a time. The first lighter form is small enough that it should suffice. Heavier forms are then
+tried step by step, less and less often while they fail. A step is so small that a failed try delays images by at most a
+tenth of a second. Flight time is measured from sending to the acknowledgement after drawing, so no clocks have to
+agree.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class Form:
-    """``scale`` of the sides, share of the JPEG ``quality`` in force, and share of the full form's bytes (measured)."""
+    """``scale`` of the sides, share of the set JPEG ``quality``, and share of the full form's bytes (measured)."""
 
     scale: float
     quality: float
@@ -29,9 +30,9 @@ FORMS = (
     Form(0.375, 0.6, 0.12),
 )
 SLOW_S = (0.15, 0.14)
-"""Flights longer than this are slow: of two full pictures under way, of one lighter one."""
+"""Flight times above which an image is slow: with two full images in flight, with one lighter image."""
 _QUICK_S = 0.1
-_ENOUGH = 5  # slow flights in a row; a very slow one counts twice, so that one hiccup with two under way is forgiven
+_ENOUGH = 5  # slow flights in a row; a very slow one counts twice, so one delay of two images in flight is tolerated
 _STEP_UP_S = 1.0
 _FIRST_RETRY_S, _LONGEST_RETRY_S = 5.0, 80.0
 
@@ -49,25 +50,25 @@ class FrameWindow:
 
     @property
     def light(self) -> bool:
-        """Whether the pictures are lighter than the full form."""
+        """Whether the form is lighter than the full form."""
         return self.level > 0
 
     @property
     def open(self) -> bool:
-        """Whether any picture may be sent now."""
+        """Whether an image may be sent now."""
         return len(self._under_way) < (1 if self.light else 2)
 
     def wants(self, seq: int) -> bool:
-        """Tell whether picture ``seq`` may be sent now: newer than the last one, and room in the window."""
+        """Return whether image ``seq`` may be sent now: it is newer than the last one, and the window has room."""
         return self.open and seq > self._last_sent
 
     def sent(self, seq: int, now_s: float) -> None:
-        """Note that picture ``seq`` is under way."""
+        """Record that image ``seq`` is in flight."""
         self._under_way.append((seq, now_s))
         self._last_sent = seq
 
     def acknowledged(self, seq: int, now_s: float) -> None:
-        """Note that the viewer has drawn ``seq``, which settles all before it; unknown numbers change nothing."""
+        """Record that the viewer has drawn ``seq``; all earlier images are settled, unknown numbers are ignored."""
         sent_s = next((moment for number, moment in self._under_way if number == seq), None)
         if sent_s is None:
             return
@@ -87,7 +88,7 @@ class FrameWindow:
             self._retry_s = _FIRST_RETRY_S
         if self.light and flight_s < _QUICK_S and now_s >= self._heavier_at_s:
             self.level -= 1
-            self._slow = _ENOUGH - 1  # one slow picture is enough now
+            self._slow = _ENOUGH - 1  # one slow image is enough now
             self._heavier_at_s = now_s + _STEP_UP_S
 
     def _lighter(self, flight_s: float, now_s: float) -> None:

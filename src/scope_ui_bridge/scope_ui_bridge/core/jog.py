@@ -1,7 +1,7 @@
-"""Moving on while a button is held: small steps of bounded length, each an ordinary goal, until the page falls silent.
+"""Jog: while a button is held, small steps of bounded length, each an ordinary goal, until the page falls silent.
 
-No step begins unless the page has asked again a moment ago, so what is left to go when the button, the page or the link
-is let go is at most the step under way.
+A step starts only if the page has renewed its request recently. So after the button, the page or the link is lost, at
+most the current step remains.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from scope_ui_bridge.core import wire
 
 @dataclass(slots=True, kw_only=True)
 class HeldJog:
-    """A direction that a page holds; ``xy`` (m, base_link) is where the step under way goes."""
+    """A direction that a page holds; ``xy`` (m, base_link) is the end of the current step."""
 
     viewer: str
     entry: int
@@ -24,10 +24,10 @@ class HeldJog:
     until_s: float
 
     def same(self, viewer: str, message: wire.Jog) -> bool:
-        """Tell whether a message holds on to this direction."""
+        """Return whether a message renews this direction."""
         return (self.viewer, self.dx, self.dy, self.step_m) == (viewer, message.dx, message.dy, message.step_m)
 
     def advance(self) -> tuple[float, float]:
-        """Return where the next step goes."""
+        """Return the end of the next step."""
         self.xy = (self.xy[0] + self.dx * self.step_m, self.xy[1] + self.dy * self.step_m)
         return self.xy

@@ -1,4 +1,4 @@
-"""Corners and edges over the picture, as JSON: what was found lately, in raw pixels."""
+"""Corners and edges shown over the image, as JSON in raw pixels."""
 
 from __future__ import annotations
 
@@ -9,23 +9,23 @@ CORNERS, EDGES = "corners", "edges"
 LAYERS = (CORNERS, EDGES)
 _MAX_CORNERS = 600
 _MAX_EDGE_POINTS = 3000
-_LIFE_NS = 1_000_000_000  # found in a picture longer ago than this: not drawn any more
+_LIFE_NS = 1_000_000_000  # maximum age of the image in which points were found, for drawing
 
 Points = npt.NDArray[np.float32]
 
 
 class Layers:
-    """The newest points of each layer and camera: corners (N, 2) u, v; edges (N, 3) u, v, number of the line."""
+    """Newest points of each layer and camera: corners (N, 2) u, v; edges (N, 3) u, v, line number."""
 
     def __init__(self) -> None:
         self._found: dict[tuple[str, str], tuple[int, Points]] = {}
 
     def take(self, layer: str, camera: str, stamp_ns: int, points: Points) -> None:
-        """Take what was found in the picture with this stamp."""
+        """Set the points found in the image with this stamp."""
         self._found[layer, camera] = (stamp_ns, points)
 
     def text(self, layer: str, camera: str, stamp_ns: int) -> str:
-        """Return JSON for the picture with this stamp: ``[u, v, u, v ...]``, for edges a list of such lists."""
+        """Return JSON for the image with this stamp: ``[u, v, u, v ...]``, for edges a list of such lists."""
         found_ns, points = self._found.get((layer, camera), (0, np.empty((0, 3), np.float32)))
         if abs(stamp_ns - found_ns) > _LIFE_NS:
             return "[]"

@@ -1,4 +1,4 @@
-"""One operator at a time: who may move the machine, for how long, and what happens when the page falls silent."""
+"""Lease of control: one operator at a time may move the machine, until release, handover or silence of the page."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from scope_ui_bridge.core.refusal import Refusal
 class OperatorLease:
     """The right to move the machine.
 
-    Each change of hands raises ``epoch``; commands that name an older one are refused. A silent holder keeps it
-    until the desk takes it away; nobody gets it without asking.
+    Each change of the holder increments ``epoch``; commands with an older epoch are refused. A silent holder keeps the
+    lease until the desk removes it; no page gets it without a request.
     """
 
     def __init__(self) -> None:
@@ -26,31 +26,31 @@ class OperatorLease:
         Raises
         ------
         Refusal
-            ``lease_held`` when somebody else has it.
+            ``lease_held`` if another viewer has it.
         """
         if self.holder and self.holder != viewer:
             raise Refusal("lease_held", holder=self.holder)
         self._give(viewer, now_s)
 
     def request(self, viewer: str, now_s: float) -> None:
-        """Ask the holder to hand over; a free lease is taken at once."""
+        """Request the lease from the holder; a free lease is taken at once."""
         if not self.holder:
             self._give(viewer, now_s)
         elif self.holder != viewer:
             self.requester = viewer
 
     def grant(self, viewer: str, to: str, now_s: float) -> None:
-        """Hand the lease of ``viewer`` over to ``to``, who asked for it."""
+        """Hand the lease of ``viewer`` over to ``to``, who requested it."""
         self._check_request(viewer, to)
         self._give(to, now_s)
 
     def decline(self, viewer: str, to: str) -> None:
-        """Turn the request of ``to`` down."""
+        """Decline the request of ``to``."""
         self._check_request(viewer, to)
         self.requester = ""
 
     def release(self, viewer: str) -> bool:
-        """Take the lease (or the request) away from ``viewer``; return whether it held the lease."""
+        """Remove the lease (or the request) of ``viewer``; return whether it held the lease."""
         if self.requester == viewer:
             self.requester = ""
         if self.holder != viewer:
@@ -60,12 +60,12 @@ class OperatorLease:
         return True
 
     def alive(self, viewer: str, now_s: float) -> None:
-        """Note a keep-alive."""
+        """Record a keep-alive."""
         if viewer == self.holder:
             self._last_alive_s = now_s
 
     def silence_s(self, now_s: float) -> float:
-        """Return how long the holder has been silent; infinite without a holder."""
+        """Return the seconds since the holder's last keep-alive; infinite without a holder."""
         return now_s - self._last_alive_s if self.holder else math.inf
 
     def check(self, viewer: str, epoch: int | None = None) -> None:
@@ -79,7 +79,7 @@ class OperatorLease:
         self.check(viewer)
         if not self.requester:
             raise Refusal("no_request")
-        if to != self.requester:  # somebody else has asked since that name was read
+        if to != self.requester:  # another viewer has requested since that name was read
             raise Refusal("other_request")
 
     def _give(self, viewer: str, now_s: float) -> None:

@@ -1,4 +1,4 @@
-"""Which nodes report on /diagnostics, and which are late, hang or have ended; pure, no clock."""
+"""Nodes that report on /diagnostics, and which of them are late, hang or have ended; pure, no clock."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ from dataclasses import dataclass
 from enum import Enum
 
 LONGEST_TURN_S = 1.0
-"""Silence that counts between two checks: a bridge that was held up itself has not read what came."""
+"""Maximum silence counted between two checks: a bridge that was delayed itself has not read the reports."""
 
 _LARGEST_LIMIT_S = _REGULAR_S = 60.0
 
 
 class Condition(str, Enum):
-    """What is known of a node."""
+    """Condition of a node."""
 
     REPORTS = "reports"
     LATE = "late"
@@ -26,7 +26,7 @@ class Condition(str, Enum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sender:
-    """A node by its full name, and its process as ``icu_common.adapters.process_identity`` writes it.
+    """A node by its full name, and its process as ``icu_common.adapters.processes.process_identity`` writes it.
 
     Empty: unknown.
     """
@@ -37,7 +37,7 @@ class Sender:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Change:
-    """A node that is in another condition than at the last check; ``silent_s`` since its last report."""
+    """A node whose condition differs from the last check; ``silent_s`` since its last report."""
 
     name: str
     condition: Condition
@@ -50,7 +50,7 @@ class _Reporter:
     sender: Sender
     silent_s: float = 0.0
     regular_s: float = 0.0
-    """Seconds of reports in time since the node was late for the last time."""
+    """Seconds of timely reports since the node was last late."""
     condition: Condition = Condition.REPORTS
 
 
@@ -70,13 +70,13 @@ class LivenessMonitor:
         self._checked_s: float | None = None
 
     def heard(self, name: str, sender: Sender) -> bool:
-        """Take a report; return whether its node had been late, or worse."""
+        """Process a report; return whether its node had been late, hung or ended."""
         reporter = self._reporters.setdefault(name, _Reporter(limit_s=self._limit_s, sender=sender))
         before, reporter.condition = reporter.condition, Condition.REPORTS
         reporter.sender, reporter.silent_s = sender, 0.0
         if before is not Condition.REPORTS:
             reporter.regular_s = 0.0
-            # On a computer that stays busy the same news would come every few seconds.
+            # On a computer that stays busy, the same change would be reported every few seconds.
             reporter.limit_s = (
                 min(2 * reporter.limit_s, _LARGEST_LIMIT_S) if before is Condition.LATE else self._limit_s
             )
@@ -88,7 +88,7 @@ class LivenessMonitor:
         Parameters
         ----------
         now_s
-            Of a clock that may jump: at most ``LONGEST_TURN_S`` of each turn count.
+            Seconds of a clock that may jump: at most ``LONGEST_TURN_S`` of each turn count.
         condition_of
             Called for silent nodes only; see :func:`judge`.
         """

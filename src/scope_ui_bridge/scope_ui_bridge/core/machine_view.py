@@ -1,4 +1,4 @@
-"""What the desk knows of the machine and its pictures, and whether that is good enough to act on."""
+"""State of the machine and its images as received by the desk, and checks whether it permits an action."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import math
 from collections import deque
 from typing import Any
 
-from icu_common.core.geometry import Transform
+from icu_common.core.geometry.geometry import Transform
 from scope_ui_bridge.core import wire
 from scope_ui_bridge.core.config import BridgeConfig
 from scope_ui_bridge.core.effects import Now
@@ -29,12 +29,12 @@ def split_state(text: str) -> tuple[str, str]:
     name, _, reason = text.partition(":")
     head, _, progress = name.strip().partition(" ")
     if head == "calibrating":
-        return head, text.strip().removeprefix(head).strip()  # what it waits for may contain a colon
+        return head, text.strip().removeprefix(head).strip()  # its reason may contain a colon
     return head, (reason.strip() or progress.strip())
 
 
 class MachineView:
-    """The newest states, the recognition's confidence, the tip's position, and which pictures were shown when."""
+    """Newest states, confidence of the recognition, position of the tip, and stamps of the shown images."""
 
     def __init__(self) -> None:
         self._states = dict.fromkeys(_MOVING, "")
@@ -48,10 +48,10 @@ class MachineView:
         self._moving_since_s = math.inf
         self._simulation_factor: float | None = None
 
-    # --- what the graph says ---------------------------------------------------------------------------------------
+    # --- reports of the graph --------------------------------------------------------------------------------------
 
     def set_state(self, part: str, text: str) -> None:
-        """``part`` is driver, controller, calibration or sequencer; text as on its state topic."""
+        """Set the state of a ``part`` (driver, controller, calibration or sequencer), as on its state topic."""
         self._states[part] = text
 
     def state(self, part: str) -> tuple[str, str]:
@@ -59,49 +59,49 @@ class MachineView:
         return split_state(self._states[part])
 
     def set_confidence(self, confidence: float, now: Now) -> None:
-        """Note the recognition's confidence, 0 = not recognised."""
+        """Set the recognition's confidence, 0 = not recognised."""
         self._confidence, self._confidence_s = confidence, now.graph_s
 
     def set_position(self, x_m: float, y_m: float, stylus_m: float, now: Now) -> None:
-        """Note where the tip is: x, y in base_link, the stylus's extension; metres."""
+        """Set the tip's position: x, y in base_link, the stylus's extension; metres."""
         self._position, self._position_s = (x_m, y_m, stylus_m), now.graph_s
 
     def expire(self, now: Now) -> None:
-        """Forget a position that nobody reports any more."""
+        """Discard a position that is no longer reported."""
         if now.graph_s - self._position_s > _POSITION_LIFE_S:
             self._position = None
 
     @property
     def position(self) -> tuple[float, float, float] | None:
-        """Where the tip is, as in :meth:`set_position`; None while unknown or not reported."""
+        """Position of the tip as in :meth:`set_position`; None while unknown or not reported."""
         return self._position
 
     def set_facts(self, part: str, facts: dict[str, str]) -> None:
-        """Note what a part reports of itself as names and values."""
+        """Set the names and values that a part reports about itself."""
         self.facts = {**self.facts, part: facts}
 
     def set_simulation_factor(self, factor: float) -> None:
-        """Note simulated over wall time."""
+        """Set the ratio of simulated to wall time."""
         self._simulation_factor = factor
 
     def picture_came(self, now: Now) -> None:
-        """Note that a camera has delivered a picture."""
+        """Record that a camera has delivered an image."""
         self._picture_s = now.graph_s
 
     def frame_offered(self, camera: str, stamp_ns: int) -> None:
-        """Note that pages may have got the picture with this stamp, in one form or another."""
+        """Record that pages may have received the image with this stamp, in any form."""
         if stamp_ns not in self._frames[camera]:
             self._frames[camera].append(stamp_ns)
 
     @property
     def active(self) -> bool:
-        """Whether a part of the graph says that it moves."""
+        """Whether a part of the graph reports that it moves."""
         return any(self.state(part)[0] in names for part, names in _MOVING.items())
 
     def blind_s(self, now: Now) -> float:
-        """Return for how long a motion has gone on without pictures that had been there when it began.
+        """Return the seconds since the last image during a motion that started with images.
 
-        Zero while nothing moves, and for a motion that was begun without pictures: homing needs none.
+        Zero while nothing moves, and for a motion that started without images: homing needs none.
         """
         if not self.active:
             self._moving_since_s = math.inf
@@ -113,17 +113,17 @@ class MachineView:
     # --- checks ----------------------------------------------------------------------------------------------------
 
     def check_frame(self, camera: str, stamp_ns: int, config: BridgeConfig, now: Now) -> None:
-        """Refuse unless the picture was shown and is young: ``frame_unknown``, ``frame_old``, ``frame_ahead``."""
+        """Refuse unless the image was shown and is recent: ``frame_unknown``, ``frame_old``, ``frame_ahead``."""
         if stamp_ns not in self._frames[camera]:
             raise Refusal("frame_unknown", stamp=str(stamp_ns))
         age_s = (now.ros_ns - stamp_ns) / 1e9
-        if age_s < -_MOST_AHEAD_S:  # another machine's clock: by how much it really is old cannot be known
+        if age_s < -_MOST_AHEAD_S:  # stamped by another computer's clock: its age is unknown
             raise Refusal("frame_ahead", ahead_ms=round(-age_s * 1e3), limit_ms=round(_MOST_AHEAD_S * 1e3))
         if age_s > config.frame_max_age_s:
             raise Refusal("frame_old", age_ms=round(age_s * 1e3), limit_ms=round(config.frame_max_age_s * 1e3))
 
     def check_recognition(self, pose: Transform | None, config: BridgeConfig, now: Now) -> Transform:
-        """Return the panel's pose unless it is unknown, silent or not trusted."""
+        """Return the panel's pose; refuse if it is unknown, or if the recognition is silent or not confident enough."""
         if pose is None or math.isnan(self._confidence):
             raise Refusal("panel_not_seen")
         silence_s = now.graph_s - self._confidence_s
@@ -136,7 +136,7 @@ class MachineView:
         return pose
 
     def check_ready(self) -> None:
-        """Refuse unless the controller takes gestures: ``no_controller``, ``not_ready``."""
+        """Refuse unless the controller accepts gestures: ``no_controller``, ``not_ready``."""
         state, reason = self.state("controller")
         if not state:
             raise Refusal("no_controller")
@@ -144,14 +144,14 @@ class MachineView:
             raise Refusal("not_ready", state=state, reason=reason)
 
     def check_still(self) -> None:
-        """Refuse while a part of the graph says that it moves: ``not_at_rest``."""
+        """Refuse while a part of the graph reports that it moves: ``not_at_rest``."""
         for part, names in _MOVING.items():
             state, reason = self.state(part)
             if state in names:
                 raise Refusal("not_at_rest", state=state, reason=reason)
 
     def unrest(self) -> str:
-        """Return why safety settings must not change now, empty at rest with the stylus up."""
+        """Return the reason why safety settings must not change now; empty at rest with the stylus up."""
         for part, names in _MOVING.items():
             if self.state(part)[0] in names:
                 return f"the {part} is {self._states[part]!r}"
@@ -166,7 +166,7 @@ class MachineView:
         self.check_still()
 
     def message(self) -> dict[str, Any]:
-        """Return what the page gets of all this."""
+        """Return the message for the page."""
         states = {part: dict(zip(("state", "reason"), self.state(part))) for part in self._states}
         position = None
         if self._position and all(math.isfinite(value) for value in self._position):
@@ -175,6 +175,6 @@ class MachineView:
             **states,
             "confidence": None if math.isnan(self._confidence) else round(self._confidence, 2),
             "position_mm": position,
-            # In tenths, as smaller changes are no news.
+            # In tenths, because smaller changes are not worth a message.
             "simulation_factor": None if self._simulation_factor is None else round(self._simulation_factor, 1),
         }

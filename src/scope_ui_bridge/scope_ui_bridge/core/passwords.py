@@ -1,8 +1,8 @@
 """Names, roles and hashed passwords: one line each, ``name:role:scrypt$N$r$p$salt$hash`` (RFC 7914, hexadecimal).
 
-A name is written in the letters of any language, composed (NFC); nothing in it may be unseen or look like another.
+A name has letters of any language, composed (NFC), and no character that is invisible or looks like another one.
 
-scrypt costs 32 MiB and about a tenth of a second for each guess; it comes with Python, so nothing has to be installed.
+scrypt costs 32 MiB and about 0.1 s for each guess; it is part of Python, so nothing has to be installed.
 """
 
 from __future__ import annotations
@@ -21,25 +21,25 @@ MIN_PASSWORD, MAX_PASSWORD = 10, 256
 MAX_NAME = 32
 _BESIDE_LETTERS = " .-_'’"
 _SHOWN = 40
-# Letters and marks that show nothing (Default_Ignorable_Code_Point of Unicode).
+# Invisible letters and marks (Default_Ignorable_Code_Point of Unicode).
 _UNSEEN = re.compile("[\u034f\u115f\u1160\u17b4\u17b5\u180b-\u180f\u3164\ufe00-\ufe0f\uffa0\U000e0000-\U000e0fff]")
 
 
 class Role(enum.Enum):
-    """What a user may do; each may also do what those before it may. All of them may stop."""
+    """Role of a user; each role includes the ones before it. Every role may stop."""
 
     VIEWER = "viewer"
     OPERATOR = "operator"
     ENGINEER = "engineer"
 
     def may(self, needed: Role) -> bool:
-        """Tell whether this role includes ``needed``."""
+        """Return whether this role includes ``needed``."""
         order = list(Role)
         return order.index(self) >= order.index(needed)
 
 
 class PasswordError(ValueError):
-    """A line of the file, a name or a password is no good; the message says which and what is needed."""
+    """Invalid line of the file, name or password; the message has the value and the rule."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -61,7 +61,7 @@ def hash_password(password: str, salt: bytes) -> str:
     Raises
     ------
     PasswordError
-        When the password is too short or too long.
+        If the password is too short or too long.
     """
     if not MIN_PASSWORD <= len(password) <= MAX_PASSWORD:
         raise PasswordError(f"a password of {len(password)} characters: {MIN_PASSWORD} to {MAX_PASSWORD} are needed")
@@ -69,24 +69,24 @@ def hash_password(password: str, salt: bytes) -> str:
 
 
 def matches(password: str, hashed: str) -> bool:
-    """Tell whether a password belongs to a hash; takes as long for a wrong one."""
+    """Return whether a password belongs to a hash; a wrong one takes as long as the right one."""
     _, cost, block, parallel, salt, digest = hashed.split("$")
     found = _scrypt(password[:MAX_PASSWORD], bytes.fromhex(salt), int(cost), int(block), int(parallel))
     return hmac.compare_digest(found, bytes.fromhex(digest))
 
 
 def new_user(name: str, role: str, password: str, salt: bytes) -> User:
-    """Return a user with the password hashed, after checking all three."""
+    """Return a user with the hashed password; checks name, role and password."""
     return User(name=checked_name(name), role=_role(role), hashed=hash_password(password, salt))
 
 
 def parse_users(lines: Iterable[str]) -> dict[str, User]:
-    """Read the file's lines; empty ones and those that begin with # are skipped.
+    """Return the users of the file's lines; empty lines and lines that begin with # are skipped.
 
     Raises
     ------
     PasswordError
-        With the line's number.
+        With the number of the invalid line.
     """
     users: dict[str, User] = {}
     for number, line in enumerate(lines, 1):
@@ -105,7 +105,7 @@ def parse_users(lines: Iterable[str]) -> dict[str, User]:
 
 
 def composed(name: str) -> str:
-    """Return a name as it is kept and compared, however a keyboard or a system composes its letters."""
+    """Return a name with composed letters, as it is stored and compared; keyboards and systems compose differently."""
     return unicodedata.normalize("NFC", name)
 
 
@@ -115,7 +115,7 @@ def checked_name(name: str) -> str:
     Raises
     ------
     PasswordError
-        With the name, what in it is not allowed, and what is.
+        With the name, what is not allowed in it, and the rule.
     """
     name = composed(name)
     wrong = _wrong_in(name)
@@ -139,7 +139,7 @@ def _wrong_in(name: str) -> str:
 
 def _is_allowed(character: str) -> bool:
     category, made_of = unicodedata.category(character), unicodedata.decomposition(character)
-    # What is only another form of a letter, as a wide or a bold one, looks like it.
+    # Variants of a letter, such as wide or bold ones, look like it.
     looks_like_another = made_of.startswith("<") and not made_of.startswith(("<compat>", "<super>"))
     written = category[0] in "LM" or category == "Nd"
     return character in _BESIDE_LETTERS or (written and not looks_like_another and not _UNSEEN.match(character))

@@ -7,13 +7,13 @@ from collections.abc import Iterable
 from typing import Any
 
 _DISCOVERY_S = 5.0
-"""So long after the first look the graph may still show what was there before."""
+"""Seconds after the first look in which discovery may still find recorders that started earlier."""
 
 
 class Recordings:
-    """The recording that this bridge has started (``own``: by whom, and when), and recorders that are in the graph.
+    """Recording of this bridge (``own``: user and start), and other recorders in the graph.
 
-    A recorder does not tell when it began, so one of the graph counts from when it was first seen.
+    A recorder does not report its start, so the duration of another recorder counts from when it was first seen.
     """
 
     def __init__(self) -> None:
@@ -22,12 +22,12 @@ class Recordings:
         self._seen_s: dict[str, float] = {}
 
     def seen(self, programs: Iterable[str], now_s: float) -> None:
-        """Take the names of all recorders that are in the graph now, without this bridge's own."""
+        """Set the names of all recorders in the graph, without this bridge's own."""
         self._looked_s = min(self._looked_s, now_s)
         self._seen_s = {name: self._seen_s.get(name, now_s) for name in programs}
 
     def message(self, now_s: float) -> list[dict[str, Any]]:
-        """Return what pages get: who or which program records, how many seconds, ``at_least`` if it began before."""
+        """Return the message for pages: user or program, seconds, and ``at_least`` if it may have started earlier."""
         told = []
         if self.own is not None:
             who, begun_s = self.own

@@ -1,6 +1,6 @@
-"""Why something was not done: a code that the page has a sentence for, and the values in that sentence.
+"""Reason why a request was refused: a code for a sentence of the page, and the values in that sentence.
 
-The sentences live in ``page/strings.js`` alone, so that a translation has one place.
+The sentences are only in the page's scripts (``page/strings.js``), so that all translations are in one place.
 """
 
 from __future__ import annotations
@@ -9,14 +9,14 @@ from typing import Any
 
 
 class Refusal(Exception):
-    """A request that is not carried out; nothing moves.
+    """A request is refused; nothing moves.
 
     Parameters
     ----------
     code
         Key of the sentence, for example ``frame_old``.
     values
-        What the sentence names: the value found and the bound, as numbers or text.
+        Values in the sentence, such as the value found and the limit, as numbers or text.
     """
 
     def __init__(self, code: str, **values: Any) -> None:
@@ -25,5 +25,5 @@ class Refusal(Exception):
         self.values = values
 
     def message(self) -> dict[str, Any]:
-        """Return what is sent to the page."""
+        """Return the message for the page."""
         return {"code": self.code, "values": self.values}

@@ -1,4 +1,4 @@
-"""Where the panel, its controls, the stylus and the target are in the picture, in raw pixels."""
+"""Positions of the panel, its controls, the stylus and the target in the image, in raw pixels."""
 
 from __future__ import annotations
 
@@ -12,26 +12,26 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from icu_common.core import frames
-from icu_common.core.camera_model import CameraModel, StereoModel
-from icu_common.core.geometry import Array, Plane, Transform
+from icu_common.core.geometry import frames
+from icu_common.core.geometry.camera_model import CameraModel, StereoModel
+from icu_common.core.geometry.geometry import Array, Plane, Transform
 from scope_ui_bridge.core.layers import Layers
 
 _EDGE_POINTS = 8  # per edge of the panel, so that lens distortion shows
 _CIRCLE_POINTS = 24
-_REDRAW_M = 0.0001  # a fifth of a pixel on the bench; less is the noise of the pose
+_REDRAW_M = 0.0001  # a fifth of a pixel on the bench; smaller changes are noise of the pose
 _PROBES = np.array([[0.0, 0.0, 0.0], [0.3, 0.0, 0.0], [0.0, 0.3, 0.0]])
-_TIP_LIFE_NS = 500_000_000  # a tip seen longer ago than this is not drawn
+_TIP_LIFE_NS = 500_000_000  # maximum age of a tip that is drawn
 
 
 def labels_of(names: Iterable[str], written: Mapping[str, str]) -> dict[str, str]:
-    """Return what people call each control, by name: its label as ``written`` in the layout, or one made of its name.
+    """Return each control's label by name: as ``written`` in the layout, or made from its name.
 
-    Labels that are alike get the name, too: who sees the one must not think of the other.
+    Equal labels get the name appended, so that people do not confuse the controls.
     """
     labels = {name: written.get(name, "").strip() for name in names}
     for name, label in labels.items():
-        if not any(unicodedata.category(sign)[0] in "LNPS" for sign in label):  # nothing of it is seen
+        if not any(unicodedata.category(sign)[0] in "LNPS" for sign in label):  # the label is invisible
             labels[name] = name.replace("_", " ").capitalize()
     alike = Counter(label.casefold() for label in labels.values())
     return {name: label if alike[label.casefold()] == 1 else f"{label} ({name})" for name, label in labels.items()}
@@ -49,7 +49,7 @@ class Face:
     size: tuple[float, float]
 
     def contains(self, point: Array) -> bool:
-        """Tell whether a point (x, y in m, panel_link) lies on the face."""
+        """Return whether a point (x, y in m, panel_link) lies on the face."""
         x, y = (np.asarray(point)[:2] - self.centre[:2]) / self.size * 2
         return bool(x * x + y * y <= 1) if self.circle else bool(max(abs(x), abs(y)) <= 1)
 
@@ -66,10 +66,10 @@ class Face:
 
 @dataclass(slots=True)
 class Scene:
-    """The newest geometry; ``version`` rises when the panel, a control or a camera has changed.
+    """Newest geometry; ``version`` increases with each change of the panel, a control or a camera.
 
     Points are in camera_left_optical_frame (rectified), except for the faces and the panel's ``outline``, (N, 2) m,
-    both in panel_link, the target (any frame), and the tip's ``path``, (N, 3) m in base_link, which it is sent along.
+    both in panel_link, the target (any frame), and the tip's current ``path``, (N, 3) m in base_link.
     """
 
     left: CameraModel | None = None
@@ -89,13 +89,13 @@ class Scene:
     _panels: dict[str, dict[str, Any]] = field(default_factory=dict, init=False)
 
     def changed(self) -> None:
-        """Call after a change of what :meth:`panel` shows."""
+        """Discard the cached panel; call after a change of anything that :meth:`panel` returns."""
         self.version += 1
         self._panels.clear()
         self._stereo = None
 
     def place_panel(self, camera_from_panel: Transform) -> None:
-        """Take a new pose of the panel; what is drawn changes only when the panel has visibly moved."""
+        """Set the pose of the panel; the drawn outlines change only if the panel has visibly moved."""
         self.camera_from_panel = camera_from_panel
         drawn = self._drawn
         if drawn is None or np.abs(camera_from_panel.apply(_PROBES) - drawn.apply(_PROBES)).max() > _REDRAW_M:
@@ -113,9 +113,9 @@ class Scene:
         return self._stereo.project_right(points)
 
     def panel(self, camera: str) -> dict[str, Any]:
-        """Return what changes only with the panel: its outline and its controls, each with outline and box in pixels.
+        """Return the outline of the panel and its controls, each with outline and box in pixels.
 
-        A control that is not wholly inside the picture is left out. ``missing`` says what keeps the panel from being
+        A control that is not completely inside the image is left out. ``missing`` is the reason why the panel cannot be
         drawn at all: the cameras' calibration or a pose.
         """
         if camera not in self._panels:
@@ -124,7 +124,7 @@ class Scene:
 
     def _build(self, camera: str) -> dict[str, Any]:
         model = self.left if camera == "left" else self.right
-        if model is None or self.left is None:  # where things are is known by the left one
+        if model is None or self.left is None:  # positions are given in the left camera's frame
             return {"outline": [], "controls": [], "missing": "camera"}
         if self._drawn is None:
             return {"outline": [], "controls": [], "missing": "panel"}
@@ -159,14 +159,14 @@ class Scene:
         return [] if pixels is None or not np.isfinite(pixels).all() else _rounded(pixels)
 
     def on_panel(self, point: Array) -> bool:
-        """Tell whether a point of panel_link lies within the panel's extent; unknown extent = yes."""
+        """Return whether a point of panel_link lies within the panel's extent; True if the extent is unknown."""
         if self.outline is None:
             return True
         low, high = self.outline.min(axis=0), self.outline.max(axis=0)
         return bool((point[:2] >= low).all() and (point[:2] <= high).all())
 
     def moving_parts(self, camera: str, stamp_ns: int) -> dict[str, Any]:
-        """Return what changes with the picture of this stamp: stylus tip and target in pixels (null = not seen)."""
+        """Return stylus tip and target in pixels for the image with this stamp (null = not seen)."""
         fresh = abs(stamp_ns - self.tip_ns) < _TIP_LIFE_NS
         return {
             "tip": self._pixel(camera, self.tip if fresh else None),
@@ -174,17 +174,18 @@ class Scene:
         }
 
     def base_line(self, camera: str, points: Array | None) -> list[list[float]]:
-        """Return the pixels of (N, 3) points of base_link; nothing without a calibration."""
+        """Return the pixels of (N, 3) points of base_link; empty without a calibration."""
         if points is None or self.camera_from_base is None:
             return []
         pixels = self.project(camera, self.camera_from_base.apply(points))
         return [] if pixels is None or not np.isfinite(pixels).all() else _rounded(pixels)
 
     def way_to(self, start: Array, anchors: Array) -> Array | None:
-        """Return (N, 3) m in base_link: up from the tip at ``start``, across, down to the first anchor, to the others.
+        """Return a path (N, 3) m in base_link: up from the tip at ``start``, across, down to the first anchor, to the
+        rest.
 
-        ``anchors`` are (M, 3) m in panel_link.
-        This is how the controller goes, but for the last millimetre, where it takes up the backlash.
+        ``anchors`` are (M, 3) m in panel_link. The controller moves on this path, except for the last millimetre, in
+        which it takes up the backlash.
         """
         if self.camera_from_base is None or self.camera_from_panel is None:
             return None
@@ -207,7 +208,7 @@ class Scene:
         return None if camera_from is None else camera_from.apply(point)
 
     def panel_point(self, pixel: tuple[float, float], height_m: float = 0.0) -> Array | None:
-        """Return (3,) m in panel_link where a left raw pixel's ray meets the panel's face, or the plane above it."""
+        """Return (3,) m in panel_link: where a left raw pixel's ray meets the panel's face or a plane above it."""
         if self.left is None or self.camera_from_panel is None:
             return None
         pose = self.camera_from_panel
@@ -220,12 +221,12 @@ class Scene:
         return pose.inverse().apply(point)
 
     def face(self, name: str) -> Face | None:
-        """Return the control of that name."""
+        """Return the control with this name."""
         return next((face for face in self.faces if face.name == name), None)
 
 
 def moved_m(before: Transform, now: Transform, point_in_panel: npt.ArrayLike) -> float:
-    """Return by how many metres a point of the panel has moved between two poses of the panel."""
+    """Return the distance in metres between a panel point's positions at two poses of the panel."""
     return float(np.linalg.norm(now.apply(point_in_panel) - before.apply(point_in_panel)))
 
 

@@ -1,4 +1,4 @@
-"""What the operator has chosen (a control, a point, a line on a touch screen), and what can be done there."""
+"""The operator's selection (a control, a point, a line on a touch screen), and the gestures possible there."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from icu_common.core.frames import CAMERA_LEFT, PANEL
-from icu_common.core.geometry import Array, Transform
-from icu_common.core.gesture import Gesture, GestureError, Point, parse_gesture
-from icu_common.core.panel_state import ControlSeen, PanelSeen
-from icu_common.core.results import GoalResult
+from icu_common.core.geometry.frames import CAMERA_LEFT, PANEL
+from icu_common.core.geometry.geometry import Array, Transform
+from icu_common.core.goals.results import GoalResult
+from icu_common.core.panel.gesture import Gesture, GestureError, Point, parse_gesture
+from icu_common.core.panel.panel_state import ControlSeen, PanelSeen
 from scope_ui_bridge.core import wire
 from scope_ui_bridge.core.refusal import Refusal
 from scope_ui_bridge.core.scene import Face, Scene, moved_m
@@ -33,11 +33,11 @@ SHORTEST_LINE_M = 0.002
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Selection:
-    """What the operator has chosen, and where the panel was then, and what it bore.
+    """The operator's selection, with the panel's pose and controls at that time.
 
-    ``anchors`` are (N, 3) m in panel_link: the control's or the point's place, or a line's two ends. ``pixels`` are
-    those of a point or a line in the picture of ``camera``. ``base_from_panel`` is where the panel was by the
-    calibration: cameras on the carriage may have moved since, and a control is still the same one, though no pixel is.
+    ``anchors`` are (N, 3) m in panel_link: the position of the control or point, or a line's two ends. ``pixels`` are
+    those of a point or a line in the image of ``camera``. ``base_from_panel`` is the panel's pose by the calibration:
+    cameras on the carriage may have moved since; a control is still the same then, but a pixel is not.
     """
 
     number: int
@@ -54,7 +54,7 @@ class Selection:
     base_from_panel: Transform | None = None
 
     def message(self) -> dict[str, Any]:
-        """Return what the page gets."""
+        """Return the message for the page."""
         places = [[round(float(v) * 1000, 1) for v in anchor[:2]] for anchor in self.anchors]
         return {
             "number": self.number,
@@ -72,12 +72,12 @@ class Selection:
 
     @property
     def name(self) -> str:
-        """What people call it."""
+        """Name of the selection as shown to people."""
         places = " → ".join(f"({x * 1e3:.1f}, {y * 1e3:.1f})" for x, y, _ in self.anchors)
         return self.label or self.control or f"{places} mm"
 
     def moved_m(self, camera_from_panel: Transform, camera_from_base: Transform | None) -> float:
-        """Return by how much its places have moved since, at most: a control's in base_link, others' to the camera."""
+        """Return the anchors' largest movement since then: a control's in base_link, else relative to the camera."""
         before, now = self.camera_from_panel, camera_from_panel
         if self.control and self.base_from_panel is not None and camera_from_base is not None:
             before, now = self.base_from_panel, camera_from_base.inverse() @ camera_from_panel
@@ -87,13 +87,13 @@ class Selection:
 def make_selection(
     number: int, message: wire.Select, scene: Scene, camera_from_panel: Transform, seen: PanelSeen | None
 ) -> Selection:
-    """Return the selection that a message asks for.
+    """Return the selection requested by a message.
 
     Raises
     ------
     Refusal
         ``unknown_control``, ``not_operable``, ``point_needs_left``, ``off_picture``, ``panel_not_seen``,
-        ``off_panel``, or of a line ``line_off_screen``, ``line_leaves_screen``, ``line_short``.
+        ``off_panel``; for a line also ``line_off_screen``, ``line_leaves_screen``, ``line_short``.
     """
     control, kind, label, size = "", "point", "", (0.0, 0.0)
     pixels: tuple[tuple[float, float], ...] = ()
@@ -135,18 +135,18 @@ def make_selection(
 
 
 def _gestures(kind: str, seen: ControlSeen | None) -> tuple[str, ...]:
-    """Return what can be done; clicks and positions of a knob are known from what is seen of it."""
+    """Return the possible gestures; a knob's clicks and positions depend on what recognition sees of it."""
     clicks, marker = seen is not None and seen.detent_deg > 0, seen is not None
     able = {"click": clicks, "set": marker}
     return tuple(gesture for gesture in GESTURES_OF[kind] if able.get(gesture, True))
 
 
 def _on_panel(camera: str, pixel: tuple[float, float], scene: Scene, height_m: float = 0.0) -> Array:
-    if camera != "left":  # a pixel goal has no other frame than the left camera's
+    if camera != "left":  # the only frame of a pixel goal is the left camera's
         raise Refusal("point_needs_left")
     if scene.left is not None:
         width, height = scene.left.size
-        # Beyond the picture the distortion's polynomial means nothing; there may be no number at all.
+        # Outside the image the distortion polynomial is meaningless; its result may not even be a number.
         if not (-0.5 <= pixel[0] <= width - 0.5 and -0.5 <= pixel[1] <= height - 0.5):
             raise Refusal("off_picture", u=pixel[0], v=pixel[1], width=width, height=height)
     point = scene.panel_point(pixel, height_m)
@@ -191,7 +191,7 @@ def make_gesture(selection: Selection, message: wire.Act, seen: PanelSeen | None
     Raises
     ------
     Refusal
-        ``wrong_gesture``, ``unknown_mark``, or ``bad_gesture`` with the value and the bound.
+        ``wrong_gesture``, ``unknown_mark``, or ``bad_gesture`` with the value and the limit.
     """
     if message.gesture not in selection.gestures:
         raise Refusal("wrong_gesture", gesture=message.gesture, kind=selection.kind)
@@ -214,7 +214,7 @@ def make_gesture(selection: Selection, message: wire.Act, seen: PanelSeen | None
 
 
 def _place(selection: Selection, end: int) -> Point:
-    # A line lies on the panel and goes with it; a point is where it was clicked, on top of whatever is there.
+    # A line lies on the panel and moves with it; a point is the clicked pixel, on top of whatever is there.
     if selection.kind == "line":
         x, y = (round(float(v), 5) for v in selection.anchors[end][:2])
         return Point(x=x, y=y, frame=PANEL)
@@ -223,14 +223,14 @@ def _place(selection: Selection, end: int) -> Point:
 
 
 def action_text(gesture: Gesture) -> str:
-    """Return the gesture and its argument, as the command log shows it."""
+    """Return the gesture and its argument as shown in the command log."""
     if gesture.mark:
         return f"{gesture.kind} {gesture.mark}"
     return gesture.kind if math.isnan(gesture.argument) else f"{gesture.kind} {gesture.argument:g}"
 
 
 def goal_words(goal: str, faces: Iterable[Face]) -> tuple[str, str]:
-    """Return action and target of somebody else's goal, worded as one's own are; one without a control stays."""
+    """Return action and target of another client's goal, worded as a page's; unchanged without a control."""
     try:
         gesture = parse_gesture(goal)
     except GestureError:
@@ -240,7 +240,7 @@ def goal_words(goal: str, faces: Iterable[Face]) -> tuple[str, str]:
 
 
 def result_words(result: GoalResult, faces: Iterable[Face]) -> GoalResult:
-    """Return the result with its control's label in place of its name, in its reason and effect."""
+    """Return the result with the control's label in place of its name in reason and effect."""
     try:
         target = parse_gesture(result.goal.partition(" id=")[0]).target
     except GestureError:

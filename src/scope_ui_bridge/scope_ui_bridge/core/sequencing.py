@@ -1,4 +1,4 @@
-"""Sequences on the page: which are stored, what may be started, and how far the one at work is."""
+"""Sequences on the page: stored sequences, checks before a start, and progress of the running one."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ import unicodedata
 from collections.abc import Iterable
 from typing import Any
 
-from icu_common.core.gesture import parse_gesture
-from icu_common.core.panel_state import PanelSeen
-from icu_common.core.results import GoalResult, Outcome
-from icu_common.core.sequence import Sequence, SequenceError, parse_steps, unfit
+from icu_common.core.goals.results import GoalResult, Outcome
+from icu_common.core.goals.sequence import Sequence, SequenceError, parse_steps, unfit
+from icu_common.core.panel.gesture import parse_gesture
+from icu_common.core.panel.panel_state import PanelSeen
 from scope_ui_bridge.core import wire
 from scope_ui_bridge.core.refusal import Refusal
 
@@ -18,12 +18,12 @@ _STATE = re.compile(r"step (\d+)/(\d+): ")
 
 
 def stored_name(stem: str) -> str:
-    """Return the name under which pages see a stored sequence: its file's, with its letters composed.
+    """Return the name of a stored sequence on pages: its file's name with composed letters.
 
     Raises
     ------
     SequenceError
-        When no page could ask for it, as with what cannot be seen in it.
+        If a page could not request this name, for example because of invisible characters.
     """
     name = unicodedata.normalize("NFC", stem)
     if len(name) > wire.MAX_TEXT or not name.isprintable():
@@ -33,7 +33,7 @@ def stored_name(stem: str) -> str:
 
 
 class SequenceView:
-    """What pages see of sequences; ``stored`` are those that were read from files, by the files' names."""
+    """State of sequences for pages; ``stored`` has the sequences read from files, by file name."""
 
     def __init__(self) -> None:
         self.stored: dict[str, Sequence] = {}
@@ -49,12 +49,12 @@ class SequenceView:
     def chosen(
         self, message: wire.RunSequence, controls: Iterable[str], seen: PanelSeen | None
     ) -> tuple[str, Sequence]:
-        """Return the name and the steps that a page wants to start; ``controls`` are those of the panel.
+        """Return name and steps of the sequence that a page requests; ``controls`` are those of the panel.
 
         Raises
         ------
         Refusal
-            ``sequence_unknown``, ``sequence_wrong`` with the step and what is wrong, ``sequence_control``.
+            ``sequence_unknown``, ``sequence_wrong`` with the step and the problem, ``sequence_control``.
         """
         if message.stored:
             if message.stored not in self.stored:
@@ -77,20 +77,20 @@ class SequenceView:
         return message.stored or sequence.name, sequence
 
     def started(self, run_id: str, who: str, name: str, sequence: Sequence) -> None:
-        """Note what was given to the sequencer."""
+        """Record a sequence sent to the sequencer."""
         self.run_id, self.who, self._name = run_id, who, name
         self._steps = [step.text() for step in sequence.steps]
         self._number, self._status, self._reason = 0, "sent", ""
 
     def set_state(self, text: str) -> None:
-        """Take the sequencer's state, ``idle`` or ``step 2/3: press:RUN_STOP``; empty while there is no sequencer."""
+        """Set the sequencer's state, ``idle`` or ``step 2/3: press:RUN_STOP``; empty if there is no sequencer."""
         self._state = text
         found = _STATE.match(text)
         if found and self._status in ("sent", "accepted"):
             self._number = int(found[1])
 
     def result(self, result: GoalResult) -> None:
-        """Take the sequencer's answer."""
+        """Process a result of the sequencer."""
         if result.goal_id != self.run_id:
             return
         self._status, self._reason = result.outcome.value, result.reason
@@ -99,26 +99,26 @@ class SequenceView:
             self._number = int(done) + (result.outcome is Outcome.ABORTED)
 
     def ended(self, run_id: str, status: str, reason: str) -> None:
-        """Note that it did not go out (failed), or that no answer came."""
+        """Record that the sequence was not sent (failed), or that no answer arrived."""
         if run_id and run_id == self.run_id and self._status in ("sent", "accepted"):
             self._status, self._reason = status, reason
 
     @property
     def at_work(self) -> bool:
-        """Whether the sequencer is at work, for whomever."""
+        """Whether the sequencer is running a sequence of any client."""
         return self._state.startswith("step ")
 
     def check_idle(self) -> None:
-        """Refuse while a sequence is at work: ``sequence_runs``."""
+        """Refuse while a sequence is running: ``sequence_runs``."""
         if self.at_work:
             raise Refusal("sequence_runs", step=self._state)
 
     def owner_of(self, goal_id: str) -> str:
-        """Return who started the sequence that a step's goal belongs to, empty for other goals."""
+        """Return the user who started the sequence of a step's goal; empty for other goals."""
         return self.who if self.run_id and goal_id.rpartition(".")[0] == self.run_id else ""
 
     def message(self) -> dict[str, Any]:
-        """Return what the pages get; ``number`` is the step at work, or the one that failed, from 1."""
+        """Return the message for pages; ``number`` is the current or failed step, from 1."""
         return {
             "name": self._name,
             "who": self.who,
@@ -130,7 +130,7 @@ class SequenceView:
         }
 
     def stored_message(self) -> list[dict[str, Any]]:
-        """Return the stored sequences as a page that has just come gets them."""
+        """Return the stored sequences for a new page."""
         return [
             {"name": name, "title": sequence.name, "steps": [step.text() for step in sequence.steps]}
             for name, sequence in sorted(self.stored.items())

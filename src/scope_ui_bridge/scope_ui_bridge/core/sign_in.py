@@ -1,7 +1,7 @@
 """Sign-in: a one-shot token or a password, sessions behind a cookie. Secrets stay hashed.
 
 A token has 256 bits and cannot be guessed, so it is compared at once and a wrong one causes no waiting time. Wrong
-passwords cause one for that account and address only, so guesses at one account do not keep other users out.
+passwords cause a waiting time for that account and address only, so guesses at one account do not block other users.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ _FIRST_WAIT_S, _LONGEST_WAIT_S = 0.5, 10.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Session:
-    """A signed-in browser; ``name`` is what the others and the records call its user.
+    """A signed-in browser; ``name`` is its user's name on pages and in records.
 
-    ``user`` is the line of the file of passwords by which it was let in, None for a token.
+    ``user`` is the line of the passwords file used for the sign-in, None for a token.
     """
 
     name: str
@@ -54,9 +54,9 @@ class SignIn:
     new_secret
         Returns an unguessable text (``secrets.token_urlsafe``).
     session_lifetime_s
-        How long a session lives.
+        Duration of a session in seconds.
     token_role
-        What somebody may do who comes with a token.
+        Role of a user who signs in by a token.
 
     Attributes
     ----------
@@ -85,13 +85,13 @@ class SignIn:
         return token
 
     def enter(self, token: str, now_s: float) -> str:
-        """Use the token up and return the cookie's value; a wrong one is refused (``wrong_token``)."""
+        """Use the token up and return the cookie's value; refuses a wrong token (``wrong_token``)."""
         self.use_up(token)
         self._count += 1
         return self._admit(f"Operator {self._count}", self._token_role, now_s)
 
     def use_up(self, token: str) -> None:
-        """Use the token up, for somebody who is signed in already; refusals as of :meth:`enter`."""
+        """Use the token up for a user who is already signed in; refuses as :meth:`enter`."""
         if not self._token or not hmac.compare_digest(_digest(token), self._token):
             raise Refusal("wrong_token")
         self._token = b""
@@ -110,7 +110,7 @@ class SignIn:
             raise Refusal("wait", seconds=round(failures.blocked_until_s - now_s, 1))
 
     def enter_by_password(self, user: User | None, account: str, remote: str, now_s: float) -> str:
-        """Return the cookie's value for whose password was found good; ``wrong_password`` for None."""
+        """Return the cookie's value for a user with a correct password; ``wrong_password`` for None."""
         known = self.check_user(user, account, remote, now_s)
         rate = self._rates[known.name]
         if not rate.take(now_s):
@@ -118,7 +118,7 @@ class SignIn:
         return self._admit(known.name, known.role, now_s, known)
 
     def check_user(self, user: User | None, account: str, remote: str, now_s: float) -> User:
-        """Refuse (``wrong_password``) when the password was found good for nobody."""
+        """Refuse (``wrong_password``) if the password was correct for no user (None)."""
         if user is None:
             self._failed(account, remote, now_s)
             raise Refusal("wrong_password")
@@ -126,7 +126,7 @@ class SignIn:
         return user
 
     def renew(self, cookie: str, now_s: float) -> Session | None:
-        """Let a session that has not ended live as long as a new one; return it, or None."""
+        """Extend a session that has not ended to the duration of a new one; return it, or None."""
         session = self.session(cookie, now_s)
         if session is None:
             return None
@@ -149,7 +149,7 @@ class SignIn:
         self._pushed_out.append((self._sessions.pop(key), why))
 
     def _most_dispensable(self) -> bytes:
-        """Return the oldest session of the user with most sessions, if possible of one who never had control."""
+        """Return the oldest session of the user with most sessions, preferably of a user who never had control."""
         counts = Counter(session.name for session in self._sessions.values())
         newest = next(reversed(self._sessions))
         others = ((key, session.name) for key, session in self._sessions.items() if key != newest)
@@ -174,7 +174,7 @@ class SignIn:
         self._sessions.pop(_digest(cookie), None)
 
     def take_ended(self, now_s: float) -> list[tuple[Session, str]]:
-        """Forget the sessions that have ended by themselves; return each once, with the reason."""
+        """Remove the sessions that have expired or were replaced; return each once, with the reason."""
         over = [key for key, session in self._sessions.items() if now_s >= session.ends_s]
         ended = [(self._sessions.pop(key), "its time was over") for key in over]
         ended += self._pushed_out

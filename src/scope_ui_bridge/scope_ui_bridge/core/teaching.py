@@ -1,4 +1,4 @@
-"""Teaching a panel from the page: what an engineer pointed at in a held picture, checked before anything is written."""
+"""Teaching a panel from the page: an engineer's points in a held image, checked before a layout is written."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import json
 import re
 from dataclasses import dataclass
 
-from icu_common.core.panel_layout import CONTROL_KINDS
+from icu_common.core.panel.panel_layout import CONTROL_KINDS
 from scope_ui_bridge.core import wire
 from scope_ui_bridge.core.refusal import Refusal
 
@@ -20,7 +20,7 @@ _CONTROL = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,31}\Z")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HeldPicture:
-    """The picture that is pointed at: its stamp, and its size in pixels."""
+    """The held image: its stamp, and its size in pixels."""
 
     stamp_ns: int
     width: int

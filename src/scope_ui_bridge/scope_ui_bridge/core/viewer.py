@@ -1,4 +1,4 @@
-"""One page at the desk: who looks, what it may ask for, and how often; nothing of the machine is needed to tell."""
+"""One page at the desk: its user, its permitted requests and their rates; independent of the machine's state."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Viewer:
     _dropped: Bucket = field(default_factory=lambda: Bucket(rates.DROPPED_PER_S, rates.DROPPED_BURST))
 
     def need(self, role: Role) -> None:
-        """Refuse (``role_needed``) what only ``role`` may do."""
+        """Refuse (``role_needed``) unless the page's role includes ``role``."""
         if not self.role.may(role):
             raise Refusal("role_needed", role=role.value, found=self.role.value)
 
@@ -49,7 +49,7 @@ class Viewer:
     def limit(self, size: int, longest: int, now_s: float) -> None:
         """Refuse a message before it is read, by its size, by this page's rate, and by the user's rate.
 
-        ``rate_limited`` messages are dropped; a page that still keeps sending is ``flooding``.
+        ``rate_limited`` messages are dropped; a page that keeps sending is ``flooding``.
         """
         within = self._messages.take(now_s) and self.user.messages.take(now_s)
         if within and size > longest:
@@ -67,16 +67,16 @@ class Viewer:
         self._last_seq = message.seq
 
     def stopped(self, seq: int) -> None:
-        """Note that this page has pressed STOP after it had sent message ``seq``, which may still be on its way."""
+        """Record that STOP was pressed on this page after message ``seq``, which may not have arrived yet."""
         self._stopped_seq = max(self._stopped_seq, seq)
 
     def check_after_stop(self, seq: int) -> None:
-        """Refuse (``before_stop``) what was sent before a STOP that has come by another way and overtaken it."""
+        """Refuse (``before_stop``) a message sent before a STOP that has overtaken it on another path."""
         if seq <= self._stopped_seq:
             raise Refusal("before_stop")
 
     def may_tell_rate(self, now_s: float) -> bool:
-        """Whether this page is told, once a second, that it sends too fast."""
+        """Return whether to report to this page that it sends too fast: at most once a second."""
         if now_s - self._told_rate_s < _TELL_RATE_EVERY_S:
             return False
         self._told_rate_s = now_s

@@ -1,7 +1,7 @@
 """Control messages between page and bridge: strict JSON in, typed values out, and back.
 
-Python's decoder takes NaN, Infinity and 1e999; here they are refused, as are repeated keys, unknown fields and texts
-of more than 32 KiB.
+Python's decoder accepts NaN, Infinity and 1e999; this one refuses them, as well as repeated keys, unknown fields and
+texts of more than 32 KiB.
 """
 
 from __future__ import annotations
@@ -13,28 +13,28 @@ import unicodedata
 from dataclasses import dataclass
 from typing import Any, NoReturn
 
-from icu_common.core.gesture import GESTURES
-from icu_common.core.sequence import MAX_STEPS
-from icu_common.core.text_bounds import deepest_line
+from icu_common.core.configuration.text_bounds import deepest_line
+from icu_common.core.goals.sequence import MAX_STEPS
+from icu_common.core.panel.gesture import GESTURES
 from scope_ui_bridge.core.refusal import Refusal
 
 MAX_BYTES = 32 * 1024
-"""Holds the longest messages that are allowed otherwise: as many steps of a sequence, as many controls of a panel."""
+"""Maximum size of a message; the longest sequences and lessons within the other limits fit."""
 MAX_STOP = 512
 """Maximum size of a stop, which is read even on a connection that sends too much."""
 MAX_DEPTH = 8
 """Maximum number of open brackets, including those in texts; the rows of a lesson need three."""
 MAX_TEXT = 64
 _MAX_INTEGER = 2**53
-_SEQ_WITHIN = 300  # the page writes it after the type
+_SEQ_WITHIN = 300  # the page writes the number after the type
 _SEQ = re.compile(r'"seq": ?([0-9]{1,15})[,}]')
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Message:
-    """What every message of the page carries.
+    """Fields of every message from a page.
 
-    ``seq`` rises with each message of a connection, ``boot`` names the server's run, ``epoch`` the operator's lease.
+    ``seq`` increases with each message of a connection; ``boot`` is the id of the server's run, ``epoch`` of the lease.
     """
 
     seq: int
@@ -44,33 +44,33 @@ class Message:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Alive(Message):
-    """The page draws; ``client_ms`` goes back to it, with the bridge's clock, for the round trip."""
+    """Keep-alive of a page that draws; ``client_ms`` is returned with the bridge's clock, for the round-trip time."""
 
     client_ms: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Hidden(Message):
-    """The page has just been hidden: another tab, a locked screen."""
+    """The page has just been hidden, for example by another tab or a locked screen."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Blind(Message):
-    """Something moves, and the page has shown no new picture for ``silence_ms``."""
+    """Something moves, and the page has shown no new image for ``silence_ms``."""
 
     silence_ms: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Stop(Message):
-    """Stop everything; ``press`` names one press of the button, which comes on two ways."""
+    """Stop everything; ``press`` identifies one press of the button, which arrives by two paths."""
 
     press: str = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Lease(Message):
-    """``step``: take, release, request, grant (hand over) or decline; the last two name whose request it was."""
+    """``step``: take, release, request, grant (hand over) or decline; the last two name the requesting page."""
 
     step: str
     to: str = ""
@@ -78,9 +78,10 @@ class Lease(Message):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Select(Message):
-    """A control's name, a point or a line, on the picture with this stamp; none of them = clear the selection.
+    """A control's name, a point or a line, on the image with this stamp; none of them = clear the selection.
 
-    Points are raw pixels; a line goes from ``point_px`` to ``to_px``, or over the face as ``line_m`` (x, y to x, y).
+    Points are raw pixels. A line goes from ``point_px`` to ``to_px``, or is given on the face as ``line_m`` (x, y to x,
+    y).
     """
 
     camera: str
@@ -93,9 +94,9 @@ class Select(Message):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Act(Message):
-    """Confirm: do the gesture at the selection, having seen the picture with this stamp.
+    """Confirm a gesture at the selection, based on the image with this stamp.
 
-    ``argument`` is NaN where the gesture has none; ``mark`` is a knob's marked position, instead of an argument.
+    ``argument`` is NaN if the gesture has none; ``mark`` is a knob's marked position, in place of an argument.
     """
 
     gesture: str
@@ -108,7 +109,7 @@ class Act(Message):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Move(Message):
-    """Go to a point of base_link (metres) with the stylus up, having seen the picture with this stamp."""
+    """Move to a point in base_link (metres) with the stylus up, based on the image with this stamp."""
 
     x_m: float
     y_m: float
@@ -118,7 +119,7 @@ class Move(Message):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Jog(Message):
-    """Move on in small steps while this comes again and again; ``dx``, ``dy`` are -1, 0 or 1, both 0 = let go."""
+    """Jog in small steps while this message is repeated; ``dx``, ``dy`` are -1, 0 or 1; both 0 = released."""
 
     dx: int
     dy: int
@@ -129,7 +130,7 @@ class Jog(Message):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RunSequence(Message):
-    """Start a sequence: one that is ``stored`` under this name, or these steps as on a command line."""
+    """Start a sequence: the ``stored`` one of this name, or these steps as on a command line."""
 
     stored: str
     steps: tuple[str, ...]
@@ -139,12 +140,12 @@ class RunSequence(Message):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Hold(Message):
-    """Keep the newest left picture, to point at a new panel in it."""
+    """Hold the newest left image, to mark a new panel in it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PointedControl:
-    """A control in the held picture: its foot's centre in raw pixels, its size and how far it stands proud in mm."""
+    """A control in the held image: centre of its foot in raw pixels, its size and its height above the face in mm."""
 
     name: str
     kind: str
@@ -155,7 +156,7 @@ class PointedControl:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Teach(Message):
-    """Make a panel of what was pointed at in the held picture: corners from the lower left, counter-clockwise."""
+    """Make a panel from the points marked in the held image: corners from the lower left, counter-clockwise."""
 
     stamp_ns: int
     model: str
@@ -167,7 +168,7 @@ class Teach(Message):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Call(Message):
-    """Ask a service of the graph, one of SERVICES; ``sent_s`` is when, by the bridge's clock as the page knows it."""
+    """Call one of SERVICES; ``sent_s`` is the time of sending by the page's estimate of the bridge's clock."""
 
     service: str
     sent_s: float = math.inf
@@ -193,7 +194,7 @@ def decode(text: str | bytes) -> Message:
     Raises
     ------
     Refusal
-        ``malformed`` with what is wrong, or ``oversized``; ``text`` may be anything.
+        ``malformed`` with the problem, or ``oversized``; ``text`` may be anything.
     """
     size = len(text if isinstance(text, bytes) else text.encode("utf-8", "surrogatepass"))
     if size > MAX_BYTES:
@@ -202,14 +203,14 @@ def decode(text: str | bytes) -> Message:
 
 
 def seq_of(text: str | bytes) -> int | None:
-    """Return the number of a message that cannot be read, for the answer to it; None where it bears none."""
+    """Return the number of an invalid message, for the answer to it; None if it has none."""
     begin = text[:_SEQ_WITHIN]
     found = _SEQ.search(begin if isinstance(begin, str) else begin.decode("utf-8", "replace"))
     return int(found[1]) if found else None
 
 
 def decode_object(text: str | bytes) -> dict[str, Any]:
-    """Parse a JSON object strictly: no NaN, no infinity, no repeated key, and no more than a few levels."""
+    """Parse a JSON object strictly: no NaN, no infinity, no repeated key, limited depth."""
     if deepest_line(text if isinstance(text, str) else text.decode("utf-8", "replace"), MAX_DEPTH):
         raise Refusal("malformed", what=f"more than {MAX_DEPTH} open brackets")
     try:
@@ -224,7 +225,7 @@ def decode_object(text: str | bytes) -> dict[str, Any]:
 
 
 def encode(message: dict[str, Any]) -> str:
-    """Return JSON; a NaN or infinity anywhere becomes null, since JSON has neither."""
+    """Return JSON; NaN and infinity become null, because JSON has neither."""
     return json.dumps(_without_nan(message), separators=(",", ":"), allow_nan=False)
 
 
@@ -339,7 +340,7 @@ def _teach(head: dict[str, Any], read: _Reader) -> Teach:
 
 
 class _Reader:
-    """Takes fields out of the object and complains by name."""
+    """Reads fields of an object; its errors contain the field's name."""
 
     def __init__(self, raw: dict[str, Any]) -> None:
         self._raw = dict(raw)
@@ -360,7 +361,7 @@ class _Reader:
         return float(value)
 
     def length(self, name: str) -> float:
-        """Return metres of a field in mm; nothing on the bench is a metre away."""
+        """Return a field given in mm as metres; at most 1 m, because no distance on the bench is longer."""
         value = self.number(name)
         if abs(value) > 1000:
             self.wrong(name, value, "a length of at most 1000 mm")
@@ -376,7 +377,7 @@ class _Reader:
         return {"camera": self.choice("camera", CAMERAS), "stamp_ns": self.stamp("stamp")}
 
     def text(self, name: str) -> str:
-        """Return a text with its letters composed, as names are kept."""
+        """Return a text with composed letters, as names are stored."""
         value = self._raw.pop(name, None)
         composed = unicodedata.normalize("NFC", value) if isinstance(value, str) else ""
         if not isinstance(value, str) or len(composed) > MAX_TEXT or not composed.isprintable():
@@ -393,7 +394,7 @@ class _Reader:
         return tuple(value)
 
     def rows(self, name: str, length: int, *, texts: int = 0, single: bool = False) -> list[Any]:
-        """Return lists of ``length`` values as tuples: the first ``texts`` of them short texts, the rest numbers."""
+        """Return lists of ``length`` values as tuples: first ``texts`` short texts, then numbers."""
         value = self._raw.pop(name, None)
         rows = [value] if single else value
         if not isinstance(rows, list) or len(rows) > 100:
@@ -412,7 +413,7 @@ class _Reader:
         return value
 
     def stamp(self, name: str) -> int:
-        # Nanoseconds do not fit into a double, so the page passes them on as the text it got.
+        # Nanoseconds do not fit into a double, so the page returns them as the text it received.
         value = self.text(name)
         if not (value.isascii() and value.isdigit() and len(value) <= 20):
             self.wrong(name, value, "nanoseconds as a text of digits")

@@ -1,10 +1,10 @@
-"""ROS node behind the operator page: topics to the desk, the desk's decisions to the graph.
+"""ROS node of the operator page: passes topics to the desk and the desk's decisions to the graph.
 
-The executor runs in the main thread, the web server in its own. Callbacks here convert a message and hand it over;
-nothing waits. The server's thread publishes directly: rclpy's publishers and clients may be used from any thread, and a
-stop must not wait for the executor's turn.
+The executor runs in the main thread, the web server in its own. Callbacks convert a message and pass it on; none of
+them waits. The server's thread publishes directly: rclpy's publishers and clients may be used from any thread, and a
+stop must not wait for the executor.
 
-SIGUSR1 makes a new sign-in token (the old one is void), prints it and writes it to the token file.
+On SIGUSR1 it makes a new sign-in token (the old one becomes void), prints it and writes it to the token file.
 """
 
 from __future__ import annotations
@@ -33,41 +33,33 @@ from trajectory_msgs.msg import JointTrajectory
 from visualization_msgs.msg import MarkerArray
 
 from icu_common.adapters.direct_stop.line import send_stop, stop_path
-from icu_common.adapters.hanging_programs import hanging_file, read_hanging
-from icu_common.adapters.process_identity import is_alive, process_number
-from icu_common.adapters.processor_load import LoadMeter
+from icu_common.adapters.processes.hanging_programs import hanging_file, read_hanging
+from icu_common.adapters.processes.process_identity import is_alive, process_number
+from icu_common.adapters.processes.processor_load import LoadMeter
 from icu_common.adapters.real_time import BRIDGE, ask_for_real_time
-from icu_common.core.config import ConfigError
-from icu_common.core.frames import CAMERA_LEFT, JOINTS
-from icu_common.core.geometry import Transform
-from icu_common.core.panel_layout import Control, LayoutError, PanelLayout, load_layout
-from icu_common.core.sequence import Sequence, parse_file
-from icu_common.core.text_bounds import plain
+from icu_common.core.configuration.config import ConfigError
+from icu_common.core.configuration.text_bounds import plain
+from icu_common.core.geometry.frames import CAMERA_LEFT, JOINTS
+from icu_common.core.geometry.geometry import Transform
+from icu_common.core.goals.sequence import Sequence, parse_file
+from icu_common.core.panel.panel_layout import Control, LayoutError, PanelLayout, load_layout
 from icu_common.nodes import qos
 from icu_common.nodes.camera_info import CameraInfoSubscription
-from icu_common.nodes.conversions import (
-    MAX_NAME,
+from icu_common.nodes.graph_node import GraphNode, this_process
+from icu_common.nodes.images import ReceivedImage
+from icu_common.nodes.messages.cameras import camera_model, image_array, image_message
+from icu_common.nodes.messages.clouds import cloud_array
+from icu_common.nodes.messages.heads import MAX_NAME, check_frame, header, stamp_ns
+from icu_common.nodes.messages.joints import joint_positions, trajectory_array
+from icu_common.nodes.messages.panels import controls_of_message, panel_state_of_message
+from icu_common.nodes.messages.places import (
     axes_of_message,
-    camera_model,
-    check_frame,
-    cloud_array,
-    controls_of_message,
-    header,
-    image_array,
-    image_message,
-    joint_positions,
-    pairs_of,
-    panel_state_of_message,
     point_array,
     point_message,
-    result_of_message,
-    stamp_ns,
-    trajectory_array,
     transform_of_message,
     transform_of_pose,
 )
-from icu_common.nodes.graph_node import GraphNode, this_process
-from icu_common.nodes.images import ReceivedImage
+from icu_common.nodes.messages.results import pairs_of, result_of_message
 from icu_common.nodes.newest import NewestImage
 from icu_common.nodes.parameters import LiveParameters
 from icu_common.nodes.runtime import run
@@ -118,7 +110,7 @@ _MAX_VALUE = 200
 SILENT_S = 5.0
 """Seconds without a report from which on a node counts as late; nodes report every second."""
 _RECORDERS = ("bag_recorder", "rosbag2_recorder")
-"""Beginnings of the names of recorders: bag_record's, and that of `ros2 bag record`."""
+"""Prefixes of recorders' node names: of bag_record, and of `ros2 bag record`."""
 _LEVELS = {20: "info", 30: "warn", 40: "error", 50: "fatal"}
 
 
@@ -175,11 +167,11 @@ class BridgeNode(GraphNode):
         self._server.new_token(self._announce)
 
     def close(self) -> None:
-        """End the server; without its heartbeat the driver holds."""
+        """End the server; without its heartbeat the driver stops."""
         self._server.close()
         self._load.finish()
         if self._token_file is not None:
-            with contextlib.suppress(OSError):  # as where it could not be written
+            with contextlib.suppress(OSError):  # for example if it could not be written
                 self._token_file.unlink()
 
     def _announce(self, token: str) -> None:
@@ -212,7 +204,7 @@ class BridgeNode(GraphNode):
         self._hear(Float32, "panel/confidence", qos.SENSOR, self._confidence_seen)
         self._hear(PointStamped, "stylus/tip", qos.SENSOR, self._tip_seen)
         self._hear(PointStamped, "gantry/target", qos.LATCHED, self._target_seen)
-        way = "gantry/recorded_trajectory" if self._replay else "gantry/trajectory"  # bag_play's name for it
+        way = "gantry/recorded_trajectory" if self._replay else "gantry/trajectory"  # name in bag_play
         self._hear(JointTrajectory, way, qos.COMMAND, self._trajectory_seen)
         for part, topic in _STATES.items():
             self._hear(String, topic, qos.LATCHED, self._state_taker(part))
@@ -277,7 +269,7 @@ class BridgeNode(GraphNode):
         return take
 
     def _stamp(self, message: Any) -> int:
-        # What was recorded is as old as its session; what counts then is when it came.
+        # In a replay, recorded stamps are as old as the session, so the time of arrival counts.
         return self.ros_ns() if self._replay else stamp_ns(message.header.stamp)
 
     def _state_taker(self, part: str) -> Callable[[String], None]:
@@ -345,7 +337,7 @@ class BridgeNode(GraphNode):
         self._use_calibration()
 
     def _use_calibration(self) -> None:
-        # Without axes the calibration was withdrawn; its transform is still latched, and may come after them.
+        # Empty axes: the calibration was withdrawn. Its transform is still latched, and may arrive after them.
         known = None if self._withdrawn else self._camera_from_base
         self._mail.newest("calibrated", setattr, self._scene, "camera_from_base", known)
 
@@ -362,7 +354,7 @@ class BridgeNode(GraphNode):
         self._mail.newest("factor", self._desk.machine.set_simulation_factor, float(message.data))
 
     def _check_liveness(self) -> None:
-        # What is logged here goes to the page's console by way of /rosout.
+        # The page's console shows these log messages, which it receives from /rosout.
         changes = self._liveness.check(self._seconds(), self._condition_of)
         late = [change for change in changes if change.condition is Condition.LATE]
         if late:
@@ -375,7 +367,7 @@ class BridgeNode(GraphNode):
                 self.get_logger().fatal(f"{change.name} hangs: it gives no sign of life")
 
     def _check_simulated_time(self) -> None:
-        """Report that the simulation has ended or hangs: without its clock no other limit of the graph passes."""
+        """Report that the simulation has ended or hangs: without its clock, no timeout of the graph expires."""
         ros_ns, wall_s = self.ros_ns(), time.monotonic()
         if ros_ns != self._simulated_ns:
             if wall_s - self._simulated_since_s > SILENT_S:
@@ -410,7 +402,7 @@ class BridgeNode(GraphNode):
 
     def _said(self, message: Log) -> None:
         level = _LEVELS.get(message.level)
-        # All robots of the domain write to one topic; loggers are named as their nodes.
+        # All robots of the domain share this topic; loggers have their nodes' names.
         mine = ".".join(self.get_namespace().split("/")[1:])
         if level and (not mine or message.name.startswith(f"{mine}.")):
             wall_ms = stamp_ns(message.stamp) // 1_000_000
@@ -437,7 +429,7 @@ class BridgeNode(GraphNode):
         self._server.post(self._desk.taught, result_of_message(message))
 
     def _check_states(self) -> None:
-        # Who has died leaves the last state behind; it does nothing any more.
+        # The latched state of a node that has ended no longer applies.
         for part, topic in _STATES.items():
             if self.count_publishers(self.resolve_topic_name(topic)) == 0:
                 self._mail.newest(part, self._desk.set_state, part, "")
@@ -485,7 +477,7 @@ class BridgeNode(GraphNode):
         return int(self.get_clock().now().nanoseconds)
 
     def stop(self, answered: Callable[[bool, str], None]) -> None:
-        stopped = send_stop(self._guard, "stop requested")  # first, and without the middleware
+        stopped = send_stop(self._guard, "stop requested")  # first, because it does not need the middleware
         self._stop_request.publish(Empty())
         if self._stop_service.service_is_ready():
             asked = self._stop_service.call_async(Trigger.Request())

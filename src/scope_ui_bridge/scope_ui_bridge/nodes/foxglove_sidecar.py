@@ -1,8 +1,8 @@
 """Show the graph in Foxglove, read only and on this machine only, while this program runs.
 
-It has no services, no parameters and no client publishing, so nothing can be sent into the graph. The server of
-foxglove-sdk takes any origin, though: while it runs, any web page open in a browser on this machine can read
-the pictures. That is why it is no part of the graph.
+It has no services, no parameters and no client publishing, so nothing can be sent into the graph. However, the server
+of foxglove-sdk accepts any origin: while it runs, any web page open in a browser on this machine can read the images.
+So it is not part of the graph.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ from typing import Any
 from rclpy.qos import DurabilityPolicy
 from rosbags.typesys import Stores, TypesysError, get_typestore
 
-from icu_common.adapters.program_end import ends_quietly
-from icu_common.core.config import ConfigError
-from icu_common.core.option_bounds import check_bounds
+from icu_common.adapters.processes.program_end import ends_quietly
+from icu_common.core.configuration.config import ConfigError
+from icu_common.core.configuration.option_bounds import check_bounds
 from icu_common.nodes import qos
 from icu_common.nodes.graph_node import GraphNode
 from icu_common.nodes.runtime import own_arguments, run
@@ -29,7 +29,7 @@ PORT = 8765
 
 
 class FoxgloveSidecar(GraphNode):
-    """Hands every topic of the graph on as it is (CDR bytes with the message's definition)."""
+    """Forwards every topic of the graph unchanged (CDR bytes with the message's definition)."""
 
     def __init__(self, port: int, **kwargs: Any) -> None:
         super().__init__("foxglove_sidecar", **kwargs)
@@ -55,12 +55,12 @@ class FoxgloveSidecar(GraphNode):
         for topic, kinds in self.get_topic_names_and_types():
             if topic not in self._channels and kinds and self.count_publishers(topic):
                 self._channels[topic] = self._open(topic, kinds[0])
-        # The server keeps nothing, so who connects later is told again what was said once.
+        # The server keeps no messages, so latched ones are repeated for clients that connect later.
         for topic, data in self._kept.items():
             self._pass_on(topic, data)
 
     def _open(self, topic: str, kind: str) -> Any:
-        """Return the channel of a topic, or None for a type that is not known."""
+        """Return the channel of a topic, or None for an unknown type."""
         try:
             text = self._types.generate_msgdef(kind, ros_version=2)[0]
             package, _, name = kind.split("/")
@@ -70,7 +70,7 @@ class FoxgloveSidecar(GraphNode):
             return None
         schema = self._foxglove.Schema(name=kind, encoding="ros2msg", data=text.encode())
         channel = self._foxglove.Channel(topic, schema=schema, message_encoding="cdr")
-        # A reader that asks for the last message gets nothing from a publisher that keeps none.
+        # A transient-local reader receives nothing from a volatile publisher.
         offered = [publisher.qos_profile.durability for publisher in self.get_publishers_info_by_topic(topic)]
         latched = all(durability == DurabilityPolicy.TRANSIENT_LOCAL for durability in offered)
         profile = qos.LATCHED if latched else qos.SENSOR

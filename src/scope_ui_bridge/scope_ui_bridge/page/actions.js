@@ -1,4 +1,4 @@
-// What people do at the desk: stop, control, select, confirm, services; by pointer and by key.
+// Actions of people at the desk: stop, control, select, confirm, services; by pointer and by key.
 
 import { openList, wireChoices } from "./choices.js";
 import { desk } from "./desk.js";
@@ -9,11 +9,11 @@ import { t } from "./strings.js";
 
 const ARMED_MS = 4000;
 const STOP_ANSWER_MS = 1000;
-const CLICK_FOLLOWS_MS = 500; // after a finger is lifted, at most
+const CLICK_FOLLOWS_MS = 500; // maximum time from lifting a finger to its click
 
 export function stop() {
-  // Two ways at once: the open connection, and a plain request that needs nothing but the sign-in.
-  // The bridge knows by the press that it is one stop.
+  // Two paths at once: the open connection, and a plain request that needs only the sign-in. By `press` the bridge
+  // recognises that both are one stop.
   const press = Math.random().toString(36).slice(2);
   let through = false;
   desk.stopping = true;
@@ -23,10 +23,10 @@ export function stop() {
     desk.unstopped = false;
   };
   desk.link.ask("stop", { press }).then(arrived);
-  // The request may overtake what was sent before it over the connection; the bridge does nothing of that any more.
+  // The request may overtake earlier messages on the connection; the bridge then refuses those.
   const { page, sent } = desk.link;
   fetch(`/stop?press=${press}&page=${page}&sent=${sent}`, { method: "POST", keepalive: true }).then(arrived, () => {});
-  // Neither is given up: on a link that hangs it may still arrive. But who pressed must know that it has not.
+  // Neither is given up, because on a hanging link it may still arrive. But the person must see that it has not.
   setTimeout(() => {
     if (through && !desk.unheard) return;
     desk.unstopped = true;
@@ -37,7 +37,7 @@ export function stop() {
 export async function choose({ byKey, ...what }) {
   const at = document.activeElement;
   const good = await desk.select(what);
-  // Who has gone on to something else meanwhile types there, and confirms nothing.
+  // If the focus has moved meanwhile, the person is typing elsewhere and must not confirm anything.
   if (!good || !byKey || document.activeElement !== at) return;
   const able = [...find("confirm").querySelectorAll("button:not([disabled])")];
   able.find((button) => button.offsetParent !== null)?.focus();
@@ -48,8 +48,8 @@ function wireStop() {
     event.preventDefault();
     stop();
   });
-  // On press, not on release: a finger that slides off has still said stop. The click that follows is the same press;
-  // one without a pointer is a press of its own: so click some screen readers, and it counts as one of a mouse.
+  // On press, not on release: a finger that slides off has still requested a stop. The click that follows is the same
+  // press. A click without a pointer, as some screen readers send, is a separate press and counts as a mouse's.
   let [pointer, timer] = [null, 0];
   find("stop").addEventListener("pointerdown", ({ pointerId }) => {
     clearTimeout(timer);
@@ -62,7 +62,7 @@ function wireStop() {
     });
   }
   find("stop").addEventListener("click", (event) => {
-    if (event.detail === 0) return; // a key's
+    if (event.detail === 0) return; // by key
     if (pointer !== null) event.preventDefault();
     pointer = null;
   });
@@ -72,17 +72,17 @@ function wireSelection() {
   find("clear").addEventListener("click", () => desk.select({}));
   find("chooser").addEventListener("change", async ({ target: chooser }) => {
     if (chooser.value) await choose({ control: chooser.value, byKey: false });
-    chooser.value = desk.selection?.control ?? ""; // one that was refused can be chosen again
+    chooser.value = desk.selection?.control ?? ""; // a refused control can be chosen again
   });
 }
 
-/** Services; what takes long and moves far wants a second click. */
+/** Services; those that take long and move far require a second click. */
 function wireCalls() {
   for (const button of document.querySelectorAll("[data-call]")) {
     const service = button.dataset.call;
     let [timer, armedAt] = [0, 0];
     const name = (what) => {
-      button.dataset.text = `${what}_${service}`; // follows the language
+      button.dataset.text = `${what}_${service}`; // changes with the language
       button.textContent = t(button.dataset.text);
     };
     const disarm = () => {
@@ -115,24 +115,24 @@ function wireKeys() {
     d: () => find("draw").offsetParent && find("draw").click(),
     "?": openHelp,
   };
-  let escaped = false; // Esc is down, and has stopped
+  let escaped = false; // Esc is held, and has stopped
   document.addEventListener(
     "keydown",
     (event) => {
       if (event.key === "Escape") {
         escaped = true;
-        if (!openList()) event.preventDefault(); // which it closes as well
+        if (!openList()) event.preventDefault(); // Esc must also close the open list
         if (!event.repeat) stop();
         closeHelp();
         return;
       }
-      // A key that is held down is one press: its repeats must not confirm what it has just selected.
+      // A held key is one press: its repeats must not confirm the control it has just selected.
       if (event.repeat && event.key === "Enter" && event.target.closest("button")) event.preventDefault();
       if (!event.repeat && !find("help").open) keys[singleKey(event)]?.();
     },
     true,
   );
-  // A list of the browser's own, as of what was typed before, takes the press; its end comes here.
+  // A list drawn by the browser, such as autocompletion, consumes the key's press; only its release arrives here.
   document.addEventListener(
     "keyup",
     (event) => {
@@ -142,7 +142,7 @@ function wireKeys() {
     },
     true,
   );
-  window.addEventListener("blur", () => (escaped = false)); // it is let go elsewhere
+  window.addEventListener("blur", () => (escaped = false)); // the key is released elsewhere
   find("help-open").addEventListener("click", openHelp);
   find("help-close").addEventListener("click", closeHelp);
   find("help").addEventListener("close", () => shut(false));
@@ -151,7 +151,7 @@ function wireKeys() {
   });
 }
 
-/** A wheel over a field scrolls, and counts no number up or down: what was typed is what will be done. */
+/** A wheel over a number field scrolls the page instead of changing the typed number. */
 function wireNumbers() {
   const letGo = ({ target }) => target.type === "number" && target.blur();
   document.addEventListener("wheel", letGo, { capture: true, passive: true });
@@ -161,7 +161,7 @@ function shut(on) {
   document.querySelector("main").inert = on;
 }
 
-/** Not modal, and below the head: STOP can be hit while it is open, and nothing else. */
+/** Not modal, and below the head: while it is open, STOP can be pressed, and nothing else. */
 function openHelp() {
   const help = find("help");
   const bottoms = [document.querySelector(".top"), find("banner")].map((part) => part.getBoundingClientRect().bottom);
@@ -170,7 +170,7 @@ function openHelp() {
   shut(true);
 }
 
-/** What is shut takes no focus, so that it is opened before the browser gives the focus back to where it was. */
+/** An inert page takes no focus, so it is enabled before the browser restores the focus. */
 function closeHelp() {
   shut(false);
   find("help").close();
@@ -183,9 +183,9 @@ export function wireActions() {
   for (const step of ["take", "request", "release"]) {
     find(`lease-${step}`).addEventListener("click", () => desk.ask("lease", { step }));
   }
-  find("lease-withdraw").addEventListener("click", () => desk.ask("lease", { step: "release" })); // of the request alone
+  find("lease-withdraw").addEventListener("click", () => desk.ask("lease", { step: "release" })); // the request only
   for (const step of ["grant", "decline"]) {
-    // The request whose name stands there: another one may have come since.
+    // The request whose name is shown: another one may have arrived since.
     find(`lease-${step}`).addEventListener("click", () => desk.ask("lease", { step, to: find("lease-text").dataset.asking }));
   }
   wireCalls();

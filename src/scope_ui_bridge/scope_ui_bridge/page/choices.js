@@ -1,17 +1,17 @@
-// Lists of choices. Where the browser draws the open one itself it takes Esc for the list's end, and tells the page only
-// of the key's release: there a press that would open it opens one of the page's own, so that Esc stops at once.
+// Lists of choices. A browser that draws the open list itself uses Esc to close it, and the page receives only the
+// key's release. In such browsers the page opens a list of its own instead, so that Esc stops at once.
 
 const OPEN_LIST = "select:open";
 const ROWS = 8;
 let own = null; // the page's own list while it is open, {of, list, close}
 
-/** The list of choices that is open, where the browser tells. */
+/** The open list of choices, if the browser reports it. */
 export function openList() {
   if (own) return own.list;
   return CSS.supports(`selector(${OPEN_LIST})`) ? document.querySelector(OPEN_LIST) : null;
 }
 
-/** Arrows choose in a list that is shut, as in one of the browser's own; one that the page draws would open. */
+/** Arrow keys choose in a closed list, as in the browser's lists; a list drawn by the page would open. */
 export function wireChoices() {
   document.addEventListener("keydown", (event) => {
     const step = { ArrowDown: 1, ArrowUp: -1 }[event.key];
@@ -23,7 +23,7 @@ export function wireChoices() {
     if (list.options[index]) choose(list, list.options[index].value);
   });
   if (CSS.supports("appearance", "base-select")) return;
-  let pointer = ""; // a finger has no Esc beside it, and telephones have lists made for it
+  let pointer = ""; // touch devices have no Esc key, and telephones have lists made for fingers
   document.addEventListener("pointerdown", (event) => (pointer = event.pointerType), true);
   document.addEventListener("mousedown", (event) => {
     if (event.button === 0 && pointer === "mouse") instead(event);
@@ -70,7 +70,7 @@ function open(select) {
   list.addEventListener("click", ({ target }) => target.matches("option") && take(), until);
   list.addEventListener("blur", close, until);
   list.addEventListener("keydown", (event) => {
-    event.stopPropagation(); // it would open the next one
+    event.stopPropagation(); // it would open the next list
     if (["Enter", " "].includes(event.key)) event.preventDefault(), take();
     if (["Escape", "Tab"].includes(event.key)) close();
   }, until);

@@ -1,8 +1,8 @@
-// The bridge's clock, which the log and the records have their times from: this computer's may show another time.
+// The bridge's clock, which the times in log and records come from; this computer's clock may differ.
 
 let ahead = Date.now() - performance.now();
 
-/** Note what the bridge's clock shows now, in ms. */
+/** Set the current time of the bridge's clock, in ms. */
 export function setClock(wallMs) {
   ahead = wallMs - performance.now();
 }
@@ -11,7 +11,7 @@ export function wallNow() {
   return new Date(ahead + performance.now());
 }
 
-/** The time of day; with its date where that is not today: a bridge runs for many shifts. */
+/** The time of day, with the date if it is not today: a bridge runs for many shifts. */
 export function timeText(ms) {
   const at = new Date(ms);
   const { lang } = document.documentElement;

@@ -38,12 +38,12 @@ export class CommandLog {
     this.#tell();
   }
 
-  /** Write all rows anew, in another language. */
+  /** Rewrite all rows in another language. */
   relabel() {
     this.reset([...this.#entries.values()]);
   }
 
-  /** Call often: at midnight the times of today become those of yesterday. */
+  /** Call often: at midnight, today's times become yesterday's and need their date. */
   watch() {
     const day = wallNow().toDateString();
     if (day === this.#day) return;
@@ -68,9 +68,10 @@ export class CommandLog {
     row.hidden = this.#search !== "" && !row.textContent.toLowerCase().includes(this.#search);
   }
 
-  /** All entries (RFC 4180), the oldest first; a text that a spreadsheet would compute gets an apostrophe in front. */
+  /** All entries (RFC 4180), oldest first; a text that a spreadsheet would evaluate gets a leading apostrophe. */
   #csv() {
-    const fields = ["wall_ms", "who", "action", "target", "status", "reason", "error_mm", "duration_s", "effect"];
+    const about = ["wall_ms", "who", "action", "target", "status", "reason"];
+    const fields = [...about, "error_mm", "bound_mm", "duration_s", "effect", "touch"];
     const cell = (value) => `"${String(value ?? "").replace(/^(?=[=+@\t\r]|-\D)/, "'").replaceAll('"', '""')}"`;
     const rows = [...this.#entries.values()].map((entry) =>
       [new Date(entry.wall_ms).toISOString(), ...fields.slice(1).map((name) => entry[name])].map(cell).join(","),
@@ -101,7 +102,7 @@ export class CommandLog {
     text.textContent = statusText(entry);
     result.replaceChildren(icon, text, ` ${toldOf(entry)}`);
     error.className = "number";
-    error.textContent = entry.error_mm === null ? "" : t("mm", { value: entry.error_mm.toFixed(2) });
+    error.textContent = entry.error_mm === null ? "" : errorText(entry);
     who.className = "who";
     who.textContent = entry.who;
     this.#filter(row);
@@ -116,6 +117,12 @@ export class CommandLog {
   }
 }
 
+/** The measured error, and the distance within which the tip was with 95 % probability. */
+function errorText({ error_mm: error, bound_mm: bound }) {
+  const value = error.toFixed(2);
+  return typeof bound === "number" ? t("mm_bound", { value, bound: bound.toFixed(2) }) : t("mm", { value });
+}
+
 export function actionText(entry) {
   const [name, argument] = entry.action.split(" ");
   const value = Number(argument);
@@ -127,27 +134,27 @@ export function actionText(entry) {
       click: ` ${value > 0 ? "↻" : "↺"} ${Math.abs(value)}`,
       set: ` ${Number.isFinite(value) ? localNumbers(`${value}°`) : argument}`,
     }[name] ?? "";
-  // A goal of somebody else comes as it was published, such as "move to (0.1, 0.2, 0) m in base_link".
+  // A goal of another client is shown as published, such as "move to (0.1, 0.2, 0) m in base_link".
   if (!has(`action_${name}`) || (argument && !details)) return said(entry.action);
   return t(`action_${name}`) + details;
 }
 
 export function targetText(entry) {
-  return entry.action === "stop" ? t(entry.target) : localNumbers(entry.target); // why it was stopped; all else are names and places
+  return entry.action === "stop" ? t(entry.target) : localNumbers(entry.target); // a stop's is its cause
 }
 
-/** How far it is; what takes long before it is answered says what it does meanwhile. */
+/** The status; an unanswered command that takes long has its current activity instead. */
 function statusText({ status, action }) {
   const own = `under_way_${action}`;
   return t(status === "sent" && has(own) ? own : `status_${status}`);
 }
 
-/** What was seen of it, and why it ended so. */
-function toldOf({ effect, reason }) {
-  return [effect ? t("effect", { effect: said(effect) }) : "", said(reason)].filter(Boolean).join(" ");
+/** The effect that was seen, and the reason of the result. */
+function toldOf({ touch, effect, reason }) {
+  return [touch ? t(`touch_${touch}`) : "", effect ? t("effect", { effect: said(effect) }) : "", said(reason)].filter(Boolean).join(" ");
 }
 
-/** What a screen reader says when a command has ended. */
+/** The announcement for screen readers when a command has ended. */
 export function spoken(entry) {
   const values = { action: actionText(entry), target: targetText(entry), status: statusText(entry) };
   const told = toldOf(entry);

@@ -1,4 +1,4 @@
-// What the machine's programs say, for engineers: read only.
+// Log messages of the machine's programs for engineers, read only.
 
 import { timeText } from "./clock.js";
 import { find } from "./dom.js";
@@ -14,10 +14,10 @@ export class Console {
     this.reset([]);
   }
 
-  /** Show these lines alone. */
+  /** Replace all lines by these. */
   reset(lines) {
     this.#element.textContent = t("console_empty");
-    this.#element.dataset.text = "console_empty"; // follows the language
+    this.#element.dataset.text = "console_empty"; // changes with the language
     if (lines.length > 0) this.add(lines);
   }
 
@@ -39,7 +39,7 @@ export class Console {
   }
 }
 
-/** Show what the driver counts, by name. */
+/** Show the driver's counters by name. */
 export function showCounts(counts = {}) {
   find("driver-facts").replaceChildren(...Object.entries(counts).map(([name, value]) => {
     const item = document.createElement("div");

@@ -1,4 +1,4 @@
-// What this page knows: who we are, the machine's state, the selection; and whether anything may be done with it now.
+// State of this page: user, machine, selection; and whether an action is possible now.
 
 import { say } from "./dom.js";
 import { Link } from "./link.js";
@@ -7,7 +7,7 @@ import { has, t } from "./strings.js";
 import { Video } from "./video.js";
 
 const AT_WORK = ["moving", "looking", "touching"]; // of the controller
-const REQUESTED = "stop requested"; // the driver knows no more; the banner says who or what asked
+const REQUESTED = "stop requested"; // the driver's reason; the banner has who or what requested the stop
 
 class Desk {
   link = new Link();
@@ -16,15 +16,15 @@ class Desk {
   limits = { amber_ms: 250, max_age_ms: 500, stale_ms: 1000, jog_step_mm: 10 };
   state = null;
   selection = null;
-  refused = null; // the answer to what was asked for last, when it was a refusal
+  refused = null; // answer to the last request, if it was refused
   problemAt = 0;
   replay = false;
-  frozen = false; // the picture before is held over the live one
-  teaching = false; // the picture that a panel is pointed at in lies over the live one
-  stopping = false; // STOP was pressed here, and the machine has not been seen at rest since
-  unstopped = false; // STOP was pressed here and has not got through, to the bridge or to the machine
+  frozen = false; // an earlier picture is shown over the live one
+  teaching = false; // the held picture for teaching is shown over the live one
+  stopping = false; // STOP was pressed here, and the machine has not been at rest since
+  unstopped = false; // STOP was pressed here and has not reached the bridge or the machine
   changed = () => {};
-  #lateMs = 0; // how long the press that is answered now, or was last, had to wait for a page that was held up
+  #lateMs = 0; // delay of the current or last input event on a busy page
 
   constructor() {
     for (const kind of ["pointerdown", "pointerup", "click", "keydown"]) {
@@ -36,28 +36,28 @@ class Desk {
     return Boolean(this.state && this.me.id && this.state.lease.holder === this.me.id && !this.link.silent);
   }
 
-  /** Whether this page has asked for control and has no answer yet. */
+  /** Whether this page has requested control and has no answer yet. */
   get waiting() {
     return Boolean(this.me.id) && this.state?.lease.requester === this.me.id;
   }
 
-  /** Whether a STOP that the bridge has heard is not seen to be heard by the machine: its driver or its line may hang. */
+  /** Whether the bridge has received a STOP that the machine shows no sign of: its driver or line may hang. */
   get unheard() {
     const mayMove = ["moving", "homing", "disconnected", ""].includes(this.state?.driver.state);
     return this.stopping && mayMove && !this.link.silent && !this.replay;
   }
 
-  /** Why the last thing that was asked for was refused; empty when it was not. */
+  /** Why the last request was refused; empty if it was not. */
   get problem() {
     return worded(this.refused);
   }
 
-  /** The picture that is being looked at; every click and confirmation names it. */
+  /** The shown picture; every click and confirmation names it. */
   get seen() {
     return { camera: this.video.shown?.camera ?? this.video.camera, stamp: this.video.shown?.stamp ?? "0" };
   }
 
-  /** What keeps everything from moving now, {code, values} as in a refusal; null when nothing does. */
+  /** What prevents every motion now, {code, values} as in a refusal; null if nothing does. */
   get hindrance() {
     if (this.link.silent) return { code: "link_down" };
     if (this.replay) return { code: "replay" };
@@ -69,37 +69,37 @@ class Desk {
     return { code: "picture_late", values: { age_ms: Number.isFinite(age) ? Math.round(age) : "?", limit_ms: this.limits.max_age_ms } };
   }
 
-  /** Why a page that is not in control has to do something else first. */
+  /** What a page without control has to do first. */
   get #uncontrolled() {
     if (this.me.role === "viewer") return "role_viewer";
     if (this.waiting) return "wait_for_control";
     return this.state?.lease.holder ? "ask_first" : "no_lease";
   }
 
-  /** What keeps every gesture from being done now. */
+  /** What prevents every gesture now, or null. */
   get gestureHindrance() {
     return this.hindrance ?? this.#unready ?? this.state?.refusal ?? null;
   }
 
-  /** What is meant by a controller that is not ready, where that is no fault of it. */
+  /** The cause of a controller that is not ready, if that is no fault of the controller. */
   get #unready() {
     const { refusal, driver } = this.state ?? {};
     if (refusal?.code !== "not_ready") return null;
     if (AT_WORK.includes(refusal.values.state)) return { code: "busy_moving" };
-    return driver.state === "stopped" ? { code: "reset_first" } : null; // the banner says why it has stopped
+    return driver.state === "stopped" ? { code: "reset_first" } : null; // the banner has the cause of the stop
   }
 
-  /** Why nothing can be moved at all now; empty when it can. */
+  /** Why no motion is possible now; empty if it is. */
   get whyNoMotion() {
     return worded(this.hindrance);
   }
 
-  /** Why no gesture can be done now; empty when it can. */
+  /** Why no gesture is possible now; empty if it is. */
   get whyNot() {
     return worded(this.gestureHindrance);
   }
 
-  /** Ask the bridge; a refusal is shown and said. What was pressed long ago was not meant for what is shown now. */
+  /** Send a request; show and announce a refusal. A delayed press is refused: the display has changed since. */
   async ask(type, fields = {}) {
     const late = { late_ms: Math.round(this.#lateMs), limit_ms: this.limits.max_age_ms };
     const movesNothing = type === "lease" || fields.service === "disable";
@@ -107,14 +107,14 @@ class Desk {
     return this.report(await this.link.ask(type, fields));
   }
 
-  /** Select something of the picture that is being looked at, which is not the live one while another lies over it. */
+  /** Select something in the shown picture; refused while another picture covers the live one. */
   async select(what) {
     const held = (this.frozen && "frozen_no_action") || (this.teaching && "teaching_no_action");
     if (held || !this.mine) return this.refuse(held ? { code: held } : this.hindrance);
     return this.ask("select", { ...this.seen, ...what });
   }
 
-  /** Show and say what keeps it from being done. What is drawn is up to 100 ms old: a button may have been enabled still. */
+  /** Show and announce what prevents an action. The display is up to 100 ms old: a button may still be enabled. */
   refuse({ code, values = {} }) {
     return this.report({ ok: false, code, values });
   }

@@ -1,19 +1,19 @@
-// Small things for the document that several parts of the page need.
+// Functions on the document for several parts of the page.
 
 import { wallNow } from "./clock.js";
 
 export const find = (id) => document.getElementById(id);
 
-/** Change a text only when it differs: screen readers speak of every change. */
+/** Change a text only if it differs: screen readers announce every change. */
 export function put(element, text) {
   if (element.textContent !== text) element.textContent = text;
 }
 
 const STEADY_MS = 5000;
-const written = new WeakMap(); // when an element's text was put steadily
+const written = new WeakMap(); // when putSteady last wrote an element's text
 const words = (text) => text.replace(/[\d.,]+/g, "");
 
-/** As put; but a number that runs, such as an age, is written every 5 s only: screen readers would never end. */
+/** As put, but a running number, such as an age, is written only every 5 s: screen readers would never finish. */
 export function putSteady(element, text) {
   const since = performance.now() - (written.get(element) ?? -Infinity);
   if (words(element.textContent) === words(text) && since < STEADY_MS) return;
@@ -21,7 +21,7 @@ export function putSteady(element, text) {
   put(element, text);
 }
 
-/** A text that is longer than its place is scrolled by keyboard, too, and marked until its end is seen; else its place is none to go to. */
+/** Make a text that is longer than its box scrollable by keyboard, and mark it until its end has been seen. */
 export function reachable(element) {
   const below = element.scrollHeight - element.clientHeight;
   element.toggleAttribute("data-more", below - element.scrollTop > 2);
@@ -33,14 +33,15 @@ export function press(button, on) {
   button.setAttribute("aria-pressed", String(on));
 }
 
-/** Whether a click confirms what was asked at `askedAt`: a double click is one, and one from before answers nothing. */
+/** Whether a click confirms the question of `askedAt`: not the second of a double click, nor an earlier click. */
 export function answers(event, askedAt) {
   return event.detail <= 1 && event.timeStamp > askedAt;
 }
 
 const TOGETHER_MS = 1000;
 
-/** Say it to screen readers; what was urgent just before is not cut off: a stop ends a press, and both ends count. */
+/** Announce a text to screen readers without cutting off a recent urgent one: a stop ends a press, and both results
+count. */
 export function say(text, urgent = false) {
   const place = find(urgent ? "say-now" : "say");
   const isNew = !urgent || performance.now() - (written.get(place) ?? -Infinity) > TOGETHER_MS;
@@ -48,19 +49,19 @@ export function say(text, urgent = false) {
   place.textContent = isNew || place.textContent === text ? text : `${place.textContent} ${text}`;
 }
 
-/** Make an element of a drawing. */
+/** Create an SVG element. */
 export function svg(tag, attributes) {
   const element = document.createElementNS("http://www.w3.org/2000/svg", tag);
   for (const [key, value] of Object.entries(attributes)) element.setAttribute(key, value);
   return element;
 }
 
-/** A path's dark line under its bright one: readable on any picture. */
+/** A path as a bright line over a dark one: visible on any picture. */
 export function doubled(d, name = "") {
   return ["under", "over"].map((layer) => svg("path", { d, class: `${layer} ${name}` }));
 }
 
-/** Let the browser save a file. */
+/** Save a file by the browser. */
 export function save(name, blob) {
   const link = document.createElement("a");
   link.href = URL.createObjectURL(blob);

@@ -1,4 +1,4 @@
-// A line on the instrument's touch screen: drawn in the picture, or by two clicks, or given in mm; then confirmed.
+// A line on the instrument's touch screen: dragged in the picture, set by two clicks, or given in mm; then confirmed.
 
 import { desk } from "./desk.js";
 import { find, press, say } from "./dom.js";
@@ -6,12 +6,12 @@ import { numberOf, putNumber } from "./number_fields.js";
 import { t } from "./strings.js";
 
 const DRAG_PX = 6; // a pointer that moves less has clicked
-const SHARE = 0.3; // the line that is proposed goes from -0.3 to 0.3 of the screen's width
+const SHARE = 0.3; // the proposed line goes from -0.3 to 0.3 of the screen's width
 let on = false;
-let from = null; // {pixel, at}: where the line begins
+let from = null; // {pixel, at}: start of the line
 let down = false;
 let drawn = false; // the click that ends a stroke selects nothing
-let screen = 0; // the selection whose middle is proposed
+let screen = 0; // number of the selection for which a line was proposed
 
 function show(active) {
   on = active;
@@ -60,7 +60,7 @@ function wirePicture(overlay) {
       (event) => {
         if (name === "pointerdown") drawn = on;
         if (!on && !(name === "click" && drawn)) return;
-        if (name === "click" && event.detail === 0) return; // a key's: it chooses, as ever
+        if (name === "click" && event.detail === 0) return; // by key: it chooses, as always
         event.stopImmediatePropagation();
         handle(event);
       },
@@ -84,13 +84,13 @@ export function wireDraw(overlay) {
   });
 }
 
-/** Offer lines while something is selected that they can be drawn on; propose one across the screen's middle. */
+/** Offer lines if the selection permits them; propose one across the screen's middle. */
 export function renderDraw(controls) {
   const { selection } = desk;
   const may = controls.some((control) => control.kind === "touch_area");
-  // A refused line leaves nothing selected; its numbers stay, to be put right.
+  // A refused line clears the selection; its numbers remain for correction.
   const fits = selection ? ["touch_area", "point", "line"].includes(selection.kind) : find("line-form").parentElement.open;
-  // Without a link it stays where it is, switched off: nothing below it may move then.
+  // Without a link the card remains, disabled, so that nothing below it moves.
   find("draw-card").hidden = !may || !(desk.mine || desk.link.silent) || !fits;
   find("draw").disabled = desk.whyNoMotion !== "" || desk.video.camera !== "left";
   if (on && (find("draw-card").hidden || find("draw").disabled)) show(false);

@@ -1,4 +1,4 @@
-// What can be done with the selection: press, double, long, hold; turn, clicks and positions of a knob; draw a line.
+// Gestures at the selection: press, double, long, hold; turn, clicks and positions of a knob; draw a line.
 
 import { desk } from "./desk.js";
 import { find, svg } from "./dom.js";
@@ -6,9 +6,9 @@ import { numberOf, putNumber } from "./number_fields.js";
 import { seenOf } from "./panel_seen.js";
 import { collect, collecting } from "./sequence.js";
 
-let dialOf = 0; // the selection whose angle the dial was set to
+let dialOf = 0; // number of the selection whose angle the dial shows
 
-/** The fields of a confirmation, besides the selection and the picture. */
+/** Fields of a confirmation in addition to selection and picture. */
 function wanted(button) {
   const gesture = button.dataset.act;
   const sign = Number(button.dataset.sign ?? 1);
@@ -30,7 +30,7 @@ function hindrance(gesture, { argument }) {
   return Number.isNaN(argument) ? { code: "no_number" } : null;
 }
 
-/** Do what the button says, or say why that cannot be done now. */
+/** Carry out the button's gesture, or show why it is not possible now. */
 export function act(button) {
   const gesture = button.dataset.act;
   const fields = wanted(button);
@@ -43,7 +43,7 @@ export function act(button) {
     collect(gesture, fields);
     return;
   }
-  document.dispatchEvent(new Event("acting")); // the picture before is kept for comparing
+  document.dispatchEvent(new Event("acting")); // the current picture is kept for comparison
   desk.ask("act", { gesture, selection: desk.selection.number, ...desk.seen, ...fields });
 }
 

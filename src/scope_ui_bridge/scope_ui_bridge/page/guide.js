@@ -1,4 +1,4 @@
-// Calibration step by step: what is fulfilled, how far it is, where the tip was looked at, and how good it became.
+// Calibration step by step: completed steps, progress, positions of the tip, and accuracy of the result.
 
 import { desk } from "./desk.js";
 import { find, put, svg } from "./dom.js";
@@ -6,10 +6,10 @@ import { said } from "./said.js";
 import { named } from "./status.js";
 import { t } from "./strings.js";
 
-const FRAME_MM = [360, 220]; // of the places, at least: a larger machine's widen it
+const FRAME_MM = [360, 220]; // minimum extent of the plot; a larger machine's positions extend it
 const GOOD_MM = 0.25;
 let facts = {};
-let places = []; // [x, y] mm, where the tip was when the count rose
+let places = []; // [x, y] mm of the tip at each increase of the count
 let lastDone = 0;
 
 export function setFacts(next) {
@@ -28,11 +28,11 @@ function progress() {
   return { done: Number(done ?? 0), all: Number(all ?? 0) };
 }
 
-/** Note a place each time one more has been looked at. */
+/** Add a position each time the count of measured positions has increased. */
 export function sampleGuide() {
   if (!desk.state) return;
   const { done } = progress();
-  if (done > 0 && (done < lastDone || lastDone === 0)) places = []; // another run; the end of one leaves them
+  if (done > 0 && (done < lastDone || lastDone === 0)) places = []; // another run; the end of a run keeps them
   if (done > lastDone && desk.state.position_mm) {
     places.push(desk.state.position_mm.slice(0, 2));
     drawPlaces();
@@ -46,7 +46,7 @@ function drawPlaces() {
   find("coverage").replaceChildren(...places.map(([x, y]) => svg("circle", { cx: x, cy: height - y, r: 6 })));
 }
 
-/** Show whether a step is done; without a link nobody knows. */
+/** Show whether a step is done; unknown without a link. */
 function step(id, fulfilled) {
   const item = find(id);
   const done = desk.link.silent ? "unknown" : fulfilled ? "yes" : "no";
@@ -55,7 +55,7 @@ function step(id, fulfilled) {
   put(item.querySelector(".unseen"), t(done));
 }
 
-/** An error that is not known, as of a calibration by hand, is a dash. */
+/** An unknown error, as of a calibration by hand, is shown as a dash. */
 function millimetres(text) {
   const value = Number(text);
   return Number.isFinite(value) ? value.toFixed(3) : "–";

@@ -1,12 +1,12 @@
-// The control connection: numbered messages, answers, round trip, and noticing a dead server (no close event comes then).
+// Control connection: numbered messages, answers, round trip, and detection of a dead server (without a close event).
 
 import { setClock } from "./clock.js";
 
 const SILENT_MS = 1500;
 const ANSWER_MS = 3000;
-const LOOK_MS = 500; // at most so much passes from one look to the next
+const LOOK_MS = 500; // maximum time counted between two checks
 const CLOCK_MS = 20; // browsers round their clocks, and clocks differ in speed
-const CLOCKS = 25; // answers of the last 5 s: the quickest tells best what the bridge's clock shows
+const CLOCKS = 25; // answers of the last 5 s: the fastest gives the best estimate of the bridge's clock
 
 export class Link extends EventTarget {
   #socket = null;
@@ -17,16 +17,16 @@ export class Link extends EventTarget {
   #lastHeard = 0;
   #heardAwakeMs = 0;
   #lastLook = performance.now();
-  #clocks = []; // {rtt, ahead}: round trips, and by how much the bridge's clock is ahead of this page's
+  #clocks = []; // {rtt, ahead}: round trips, and lead of the bridge's clock over this page's
   epoch = 0;
-  /** Under which name the bridge knows this page, until it gets another one. */
+  /** The bridge's id of this page, until the next connection. */
   page = "";
   rttMs = null;
-  /** Time in which the page could look: one that was held up has not yet seen what came meanwhile. */
+  /** Time in which the page was running: after a delay it has not yet processed the messages that arrived meanwhile. */
   awakeMs = 0;
-  #signedInUntil = null; // by this page's clock; null while the end is far
+  #signedInUntil = null; // by this page's clock; null while far away
 
-  /** In how many ms the sign-in ends, null while there is no hurry. */
+  /** Milliseconds until the sign-in ends, null while far away. */
   get signInEndsMs() {
     return this.#signedInUntil === null ? null : this.#signedInUntil - performance.now();
   }
@@ -35,7 +35,7 @@ export class Link extends EventTarget {
     return this.#socket !== null && this.#boot !== "" && this.#socket.readyState === WebSocket.OPEN;
   }
 
-  /** The number of the last message that was sent as this page. */
+  /** The number of the last message sent on this connection. */
   get sent() {
     return this.#seq;
   }
@@ -55,13 +55,13 @@ export class Link extends EventTarget {
     socket.addEventListener("close", () => this.#lost(socket));
   }
 
-  /** How long something was on its way that was sent at `sent` by the bridge's clock and came at `arrived` by ours, ms. */
+  /** Transit time in ms of a message sent at `sent` by the bridge's clock and received at `arrived` by this page's. */
   way(sent, arrived) {
     if (!this.#clocks.length) return (this.rttMs ?? 0) / 2;
     return Math.max(0, arrived + this.#ahead - sent);
   }
 
-  /** What the bridge's clock shows now; undefined while that is not known. */
+  /** Current time of the bridge's clock; undefined while unknown. */
   get bridgeMs() {
     return this.#clocks.length ? performance.now() + this.#ahead : undefined;
   }
@@ -70,7 +70,7 @@ export class Link extends EventTarget {
     return this.#clocks.reduce((best, one) => (one.rtt < best.rtt ? one : best)).ahead;
   }
 
-  /** Call often: gives up answers that do not come, and a connection on which nothing arrives any more. */
+  /** Call often: gives up overdue answers, and a connection on which nothing arrives. */
   watch() {
     const now = performance.now();
     this.awakeMs += Math.min(now - this.#lastLook, LOOK_MS);
@@ -102,7 +102,7 @@ export class Link extends EventTarget {
     if (this.open) this.#send("blind", { silence_ms: silenceMs });
   }
 
-  /** The page goes away, and is not only hidden: the closed connection says so at once. */
+  /** The page is being closed, not only hidden: closing the connection reports this at once. */
   leave() {
     this.#socket?.close();
   }
@@ -141,7 +141,8 @@ export class Link extends EventTarget {
     this.dispatchEvent(new CustomEvent(message.type, { detail: message }));
   }
 
-  /** An answer tells the difference of the clocks to half a round trip: one that does not fit shows that one stood still. */
+  /** Each answer gives the clocks' difference to half a round trip; one that does not fit shows that a clock was
+  suspended. */
   #compared(clock) {
     const fits = (one) => Math.abs(one.ahead - clock.ahead) <= (one.rtt + clock.rtt) / 2 + CLOCK_MS;
     this.#clocks = [...(this.#clocks.every(fits) ? this.#clocks : []), clock].slice(-CLOCKS);
@@ -174,7 +175,7 @@ export class Link extends EventTarget {
         return;
       }
     } catch {
-      // the server is away; the connection attempt below fails too and we come back here
+      // the server is unavailable; the attempt below fails too and leads back here
     }
     this.connect();
   }

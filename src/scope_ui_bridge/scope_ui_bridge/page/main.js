@@ -1,4 +1,4 @@
-// Wires the page together: what comes from the bridge, and what is shown of it.
+// Connects the parts of the page: messages from the bridge, and their display.
 
 import { choose, wireActions } from "./actions.js";
 import { CommandLog, ICONS, spoken } from "./command_log.js";
@@ -28,7 +28,7 @@ import { COMPUTED } from "./video.js";
 const KEEP_ALIVE_MS = 200;
 const READ_MS = 1000;
 const UNDER_WAY = ["sent", "accepted"];
-const AT_REST = ["stopped", "alarm", "unhomed"]; // after STOP; the last one when the driver was started anew
+const AT_REST = ["stopped", "alarm", "unhomed"]; // after STOP; the last one if the driver was restarted
 
 const SLOW_SIMULATION = 0.9;
 startLanguage();
@@ -36,23 +36,23 @@ const { link, video } = desk;
 const overlay = new Overlay(find("stage"), find("overlay"), find("controls"), seenText);
 const log = new CommandLog(find("log"));
 const lines = new Console(find("console-lines"));
-let instrument = ""; // its name
-let known = false; // what the bridge tells at the beginning has come before
-let labelled = false; // whether the controls bear what was seen of them, while there was a link
-let counts = {}; // the driver's own
+let instrument = ""; // name of the instrument
+let known = false; // the first message of the bridge has arrived
+let labelled = false; // whether the controls' names include their seen state, which needs a link
+let counts = {}; // the driver's counters
 let lostControl = false;
 let wasMine = false;
 let turnedAway = "";
-let last = null; // the entry of the last command that was no stop
-let boot = ""; // the run of the bridge whose entry that is
-let declinedBy = ""; // who has control and keeps it, though this page has asked
-let overtakenBy = ""; // whose request stands in the place of this page's
+let last = null; // entry of the last command that was no stop
+let boot = ""; // id of the bridge's run of that entry
+let declinedBy = ""; // the holder of control that declined this page's request
+let overtakenBy = ""; // whose request has replaced this page's
 desk.changed = render;
 
 // --- what comes from the bridge ------------------------------------------------------------------------------------
 
 link.addEventListener("hello", ({ detail }) => {
-  if (known) video.renew(); // where this connection hung, that of the picture hangs as well
+  if (known) video.renew(); // if this connection was hanging, the video's hangs as well
   turnedAway = "";
   known = true;
   desk.me = detail.you;
@@ -63,7 +63,7 @@ link.addEventListener("hello", ({ detail }) => {
   setRecordings(detail.recordings);
   desk.limits = detail.limits;
   if (detail.title) {
-    delete find("title").dataset.text; // its name is the instrument's, in any language
+    delete find("title").dataset.text; // the title is the instrument's name in any language
     find("title").textContent = detail.title;
     instrument = detail.title;
   }
@@ -96,14 +96,14 @@ link.addEventListener("log", ({ detail: { entry } }) => {
   if (entry.action === "teach" && ["failed", "no_answer"].includes(entry.status)) taught({ ok: false, reason: spoken(entry) });
   if (UNDER_WAY.includes(entry.status)) return;
   if (entry.action === "stop" && entry.status !== "done" && !desk.replay) desk.unstopped = true;
-  // What was refused while it was at work is over with it, once there was time to read it.
+  // A refusal during a command is removed at the command's end, once there was time to read it.
   if (performance.now() - desk.problemAt > READ_MS) desk.refused = null;
   addError(entry);
   say(spoken(entry), entry.action === "stop" || ["aborted", "failed", "no_answer"].includes(entry.status));
 });
 link.addEventListener("answer", ({ detail }) => {
   desk.report(detail);
-  if (!link.open) turnedAway = desk.problem; // nobody is let in
+  if (!link.open) turnedAway = desk.problem; // refused before the connection was accepted
 });
 link.addEventListener("lost", () => {
   if (desk.state) desk.state.lease = { ...desk.state.lease, holder: "", holder_name: "" };
@@ -172,19 +172,19 @@ function setSelection(next) {
   if (isNew) showCard();
 }
 
-/** Where the desk scrolls by itself its head may have been left for a tab; what is selected is seen before it is confirmed. */
+/** Scroll a scrolling desk back to the selection: people must see what they confirm. */
 function showCard() {
   const card = find("selection-card");
   const column = card.parentElement;
   const above = card.getBoundingClientRect().top - column.getBoundingClientRect().top;
-  if (above < 0) column.scrollTop += above; // of a column that does not scroll it stays 0
+  if (above < 0) column.scrollTop += above; // stays 0 for a column that does not scroll
 }
 
 // --- what is looked at ---------------------------------------------------------------------------------------------
 
 for (const button of document.querySelectorAll("[data-camera]")) {
   button.addEventListener("click", () => {
-    if (button.dataset.camera !== video.camera) showLive(); // no outlines of one camera over a kept picture of the other
+    if (button.dataset.camera !== video.camera) showLive(); // outlines must match the picture's camera
     video.look({ camera: button.dataset.camera });
     overlay.forget(...COMPUTED);
     press(button, true);
@@ -220,7 +220,7 @@ find("language").addEventListener("click", () => {
 
 // --- what is shown -------------------------------------------------------------------------------------------------
 
-/** The last command's result stands beside the buttons that gave it. */
+/** Show the last command's result next to the buttons that gave it. */
 function showLast(entry) {
   last = entry;
   const element = find("last");
@@ -230,7 +230,7 @@ function showLast(entry) {
   element.lastElementChild.textContent = spoken(entry);
 }
 
-/** The last command may have ended while the link was away; another run of the bridge knows nothing of it. */
+/** The last command may have ended while the link was lost; another run of the bridge has no entry of it. */
 function catchUp({ boot: run, log: entries }) {
   if (last && UNDER_WAY.includes(last.status)) {
     const known = run === boot && entries.find(({ entry }) => entry === last.entry);
@@ -287,16 +287,16 @@ function render() {
   keepFocus(focused);
 }
 
-/** What is switched off or hidden would leave the focus nowhere: its card takes it, where a second Enter does nothing. */
+/** A disabled or hidden element would lose the focus: its card takes it, where a second Enter does nothing. */
 function keepFocus(at) {
   if (!at.matches(":disabled") && at.getClientRects().length) return;
-  const whole = find("desk").getClientRects().length ? find("desk") : find("lease-card"); // which is no box on a telephone
+  const whole = find("desk").getClientRects().length ? find("desk") : find("lease-card"); // not on a telephone
   const place = at.closest('[role="tabpanel"], .card') ?? whole;
   place.tabIndex = -1;
   place.focus({ preventScroll: true });
 }
 
-let beneath = null; // the control that had the focus when the picture became too old for it to be shown
+let beneath = null; // the control that had the focus when the picture became too old to show it
 
 function keepFocusBeneath(stale) {
   const at = document.activeElement;
@@ -307,7 +307,7 @@ function keepFocusBeneath(stale) {
   }
 }
 
-/** Tabs of one browser, and browsers with one password, bear one name. */
+/** Tabs of one browser, and browsers with one account, have the same name. */
 const called = (name) => (name === desk.me.name ? t("other_page", { name }) : name);
 
 function renderLease() {
@@ -321,11 +321,11 @@ function renderLease() {
   if (overtakenBy) text = t("lease_overtaken", { name: asking });
   if (asked) text = t("lease_asked", { name: asking });
   if (desk.waiting) text = t("lease_waiting", { name });
-  if (desk.link.silent) text = t("link_down"); // who has it by now nobody sees
+  if (desk.link.silent) text = t("link_down"); // the present holder of control is unknown
   put(find("lease-text"), text);
   find("lease-text").dataset.asking = asked ? requester : "";
   find("lease-card").dataset.look = mine ? "mine" : "";
-  if (desk.link.silent) return; // nothing changes its place, and nothing is done either
+  if (desk.link.silent) return; // nothing moves on the page, and no action is possible
   find("lease-take").hidden = Boolean(holder) || !may;
   find("lease-request").hidden = !holder || mine || !may;
   find("lease-request").disabled = desk.waiting;
@@ -369,7 +369,7 @@ function renderMachine() {
   renderGuide();
 }
 
-/** In a simulation that is slower than real time, say so; the pictures' ages are of its time. */
+/** Show that a simulation is slower than real time; the pictures' ages are in simulated time. */
 function renderSimulation() {
   const factor = desk.state?.simulation_factor ?? 1;
   video.factor = Math.min(factor, 1);
@@ -424,12 +424,12 @@ function renderAge() {
 
 // --- the beat: keep-alives come from animation frames, so a hidden or frozen page stops the machine -------------------
 
-let seen = false; // the motion that goes on was seen, at its beginning or since
+let seen = false; // the current motion has been visible, at its start or since
 function watchMotion() {
   const moving = desk.mine && desk.state.moving;
   const blindMs = video.blindMs;
   const blind = blindMs > desk.limits.stale_ms;
-  // One that was begun without a picture needs none, as homing does.
+  // A motion that started without a picture needs none, such as homing.
   if (moving && blind && seen) link.blind(blindMs);
   seen = moving && !blind;
 }
@@ -460,7 +460,7 @@ function beat(now) {
 }
 
 window.addEventListener("pagehide", () => link.leave()); // before it is hidden
-// A hidden page has no animation frames any more; it says so, that the reason of the stop can be told.
+// A hidden page has no animation frames; it reports that it is hidden, so that the stop's cause is known.
 document.addEventListener("visibilitychange", () => document.visibilityState === "hidden" && link.hide());
 
 wireActions();
@@ -473,7 +473,7 @@ wireTools();
 wireTeach();
 wireTabs(find("tabs"));
 log.wireSearch(find("log-search"), find("log-found"), find("log-export"));
-if (location.search) history.replaceState(null, "", "/"); // the used token is no business of the address bar
+if (location.search) history.replaceState(null, "", "/"); // removes the used token from the address bar
 link.connect();
 video.connect();
 requestAnimationFrame(beat);

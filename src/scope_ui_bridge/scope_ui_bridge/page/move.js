@@ -1,4 +1,4 @@
-// Moving without touching: jog while held, and go to a point; the stylus stays up.
+// Moving without touching: jog while a button is held, and move to a point; the stylus stays up.
 
 import { desk } from "./desk.js";
 import { find, put } from "./dom.js";
@@ -23,7 +23,7 @@ function hold(dx, dy) {
   repeat();
 }
 
-/** Ask again while held; a refusal (a limit, a stop) ends it, and so does a picture that lies over the live one. */
+/** Repeat the request while held; a refusal (limit, stop) ends it, and so does a picture over the live one. */
 async function repeat() {
   const mine = held;
   if (!mine) return;
@@ -36,7 +36,7 @@ async function repeat() {
   const now = performance.now();
   mine.timer = setTimeout(repeat, HOLD_MS);
   mine.dueMs = now + HOLD_MS;
-  // The bridge goes on no more, and would begin anew. That the arrow was let go meanwhile may be next to be heard.
+  // The bridge has ended this jog and would start a new one. The arrow may have been released meanwhile.
   if (now - dueMs > LATE_MS) return;
   if (!(await desk.ask("jog", { dx, dy, step_mm, ...desk.seen })) && held === mine) release();
 }
@@ -46,7 +46,7 @@ function release() {
   clearTimeout(held.timer);
   const { step_mm } = held;
   held = null;
-  // Its answer is no news: the reason why moving on was refused is still to be read.
+  // Its answer is not shown: the reason of a refused jog must remain readable.
   if (desk.mine) desk.link.ask("jog", { dx: 0, dy: 0, step_mm, ...desk.seen });
 }
 
@@ -58,8 +58,8 @@ export function wireMove() {
       hold(dx, dy);
     });
     for (const end of ["pointerup", "pointercancel", "lostpointercapture"]) button.addEventListener(end, release);
-    button.addEventListener("blur", () => held?.dx === dx && held?.dy === dy && release()); // keys may hold another way
-    button.addEventListener("contextmenu", (event) => event.preventDefault()); // a long touch is no menu here
+    button.addEventListener("blur", () => held?.dx === dx && held?.dy === dy && release()); // not one held by key
+    button.addEventListener("contextmenu", (event) => event.preventDefault()); // a long touch must not open a menu here
     button.addEventListener("keydown", (event) => {
       if (!["Enter", " "].includes(event.key)) return;
       event.preventDefault();
@@ -87,7 +87,7 @@ export function wireMove() {
 
 export function renderMove() {
   const why = desk.whyNoMotion || (desk.state.driver.state === "idle" || held ? "" : t("move_needs_idle"));
-  // The one that is pressed again and again keeps the focus while its last step is done.
+  // A button pressed repeatedly keeps the focus during its last step.
   const again = desk.whyNoMotion ? null : document.activeElement.closest("[data-jog]");
   for (const button of document.querySelectorAll("[data-jog], #go")) button.disabled = why !== "" && button !== again;
   put(find("move-why"), why || t("move_hint"));

@@ -1,5 +1,5 @@
-// Fields of numbers, written as the page's language does, and as people type them: with a point or with a comma.
-// A browser's own number fields take a comma for nothing where its language has none: 1,5 mm would become 15 mm.
+// Number fields, shown in the page's language and typed with a point or a comma. A browser's own number fields ignore a
+// comma if its language has none: 1,5 mm would become 15 mm.
 
 import { find } from "./dom.js";
 import { localNumbers } from "./numbers.js";
@@ -7,19 +7,19 @@ import { t } from "./strings.js";
 
 const TYPED = /^[+\-−]?(\d+([.,]\d*)?|[.,]\d+)$/;
 
-/** Return what was typed into a field as a number, NaN where it is none. */
+/** Return a field's text as a number, NaN if it is none. */
 export function numberOf(field) {
   const typed = field.value.trim();
   return TYPED.test(typed) ? Number(typed.replace(",", ".").replace("−", "-")) : NaN;
 }
 
-/** Write a number into a field; NaN or nothing empties it. */
+/** Write a number into a field; NaN or undefined clears it. */
 export function putNumber(field, value) {
   field.value = Number.isFinite(value) ? localNumbers(value) : "";
   judge(field);
 }
 
-/** The form that a field is in is not sent while it holds no number, or one beyond its bounds. */
+/** A field without a number, or with one out of bounds, blocks its form. */
 function judge(field) {
   const [min, max] = [Number(field.dataset.min), Number(field.dataset.max)];
   const value = numberOf(field);
@@ -34,13 +34,13 @@ function step(field, up) {
   field.dispatchEvent(new Event("input", { bubbles: true }));
 }
 
-/** Write the numbers that stand there anew, in another language. */
+/** Rewrite the shown numbers in another language. */
 export function relabelNumbers() {
   for (const field of document.querySelectorAll("input[data-step]")) putNumber(field, numberOf(field));
   for (const option of find("jog-step").options) option.textContent = localNumbers(`${option.value} mm`);
 }
 
-/** Look at what is typed into the fields of numbers, also those that are made later; arrows make it more or less. */
+/** Check the input of all number fields, also of later ones; arrow keys increase and decrease it. */
 export function wireNumbers() {
   relabelNumbers();
   const isOne = (element) => element.matches("input[data-step]");

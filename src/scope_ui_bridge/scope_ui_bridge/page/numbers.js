@@ -1,6 +1,6 @@
-// The decimal sign of the page's language, in all that it shows.
+// The decimal sign of the page's language, for all shown numbers.
 
-// A number of its own, not a part of a name, an address, a version or a place that is typed so (0.1,0.2@panel_link).
+// A separate number, not part of a name, an address, a version or a position as typed (0.1,0.2@panel_link).
 const DECIMAL = /(^|[\s(±≥≤])([+\-−]?\d+)\.(\d+)(?=$|[\s;,:)%°…]|\.(?:\s|$))/g;
 const PAIR = /(\d,\d+), (?=[+\-−]?\d+,\d)/g;
 

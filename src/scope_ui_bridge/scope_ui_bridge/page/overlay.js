@@ -1,11 +1,11 @@
-// What lies over the picture: outlines and marks in SVG, and a real button for each control. All in raw pixels of the
-// picture; the centre of the first pixel is (0, 0), hence the half pixel.
+// The layer over the picture: outlines and marks in SVG, and a real button for each control. Coordinates are raw pixels
+// of the picture; the centre of the first pixel is (0, 0), hence the half pixel.
 
 import { doubled, svg } from "./dom.js";
 import { t } from "./strings.js";
 
-const ONE_LINE = 30; // letters of a name that surely stand in one
-const ROOM = 1000; // px of the picture around a control that is alone: more than is ever wanted
+const ONE_LINE = 30; // letters of a name that certainly fit into one line
+const ROOM = 1000; // px of the picture around a control without neighbours: larger than ever needed
 
 export class Overlay extends EventTarget {
   #svg;
@@ -18,7 +18,7 @@ export class Overlay extends EventTarget {
   #size = [1280, 720];
   #seen;
 
-  /** `seen` returns what is seen of a control, in words. */
+  /** `seen` returns the seen state of a control in words. */
   constructor(stage, drawing, box, seen = () => "") {
     super();
     this.#seen = seen;
@@ -38,7 +38,7 @@ export class Overlay extends EventTarget {
     return this.#panel.controls;
   }
 
-  /** What keeps the panel from being drawn, "picture", "camera" or "panel"; empty when nothing does. */
+  /** What is missing to draw the panel, "picture", "camera" or "panel"; empty if nothing is. */
   get missing() {
     return this.#panel.missing;
   }
@@ -53,14 +53,14 @@ export class Overlay extends EventTarget {
     if (about.panel) this.#show(about.panel);
     this.#mark("tip", about.tip);
     this.#mark("target", about.target);
-    // The tip's way is dashed while it is only planned.
+    // A planned path of the tip is dashed.
     this.#draw("path", path(about.path, false), about.planned ? "planned" : "");
-    // On a slow link corners and edges come with some of the pictures only.
+    // On a slow link only some pictures come with corners and edges.
     if (about.corners) this.#dots(about.corners);
     if (about.edges) this.#edges(about.edges);
   }
 
-  /** Forget what was found in the picture: its layer was switched off, or the camera is another one. */
+  /** Clear layers found in the picture: they were switched off, or the camera has changed. */
   forget(...names) {
     for (const name of names) this.#layers[name].replaceChildren();
   }
@@ -80,7 +80,7 @@ export class Overlay extends EventTarget {
     this.#draw("line", from ? arrow(from, end) : "");
   }
 
-  /** Name the buttons anew, in another language or after something has changed on the panel. */
+  /** Rename the buttons, in another language or after a change of the panel's state. */
   relabel() {
     for (const control of this.#panel.controls) this.#label(control);
   }
@@ -139,7 +139,7 @@ export class Overlay extends EventTarget {
       style.setProperty("--room-x", `${(100 * rooms[number][0]) / width}%`);
       style.setProperty("--room-y", `${(100 * rooms[number][1]) / width}%`);
       this.#buttons.get(control.name).dataset.tagAt = tagPlace(control, this.#size);
-      style.zIndex = String(Math.max(1, 1000 - Math.round(Math.sqrt(w * h)))); // small controls lie on top
+      style.zIndex = String(Math.max(1, 1000 - Math.round(Math.sqrt(w * h)))); // small controls are on top
     }
   }
 
@@ -161,7 +161,7 @@ export class Overlay extends EventTarget {
     this.#draw("edges", lines.map(([u, v, ...rest]) => `M${u} ${v}L${rest.join(" ")}`).join(""));
   }
 
-  /** Draw the line of a layer anew only when it is another one: most pictures show what the last one did. */
+  /** Redraw a layer's line only if it has changed: in most pictures it has not. */
   #draw(name, d, look = "") {
     const layer = this.#layers[name];
     const shown = layer.lastChild;
@@ -185,7 +185,7 @@ export class Overlay extends EventTarget {
   #clicked(event) {
     const button = event.target.closest("[data-control]");
     const byKey = event.detail === 0;
-    // A touch screen is touched where it was clicked; from the keyboard, in its middle.
+    // A touch screen is touched at the clicked point; by keyboard, at its centre.
     if (button && (byKey || button.dataset.kind !== "touch_area")) {
       this.dispatchEvent(new CustomEvent("choose", { detail: { control: button.dataset.control, byKey } }));
       return;
@@ -194,7 +194,7 @@ export class Overlay extends EventTarget {
     this.dispatchEvent(new CustomEvent("choose", { detail: { u, v, byKey } }));
   }
 
-  /** The picture's pixel under a pointer. */
+  /** Pixel of the picture under a pointer. */
   pixel(event) {
     const area = this.#svg.getBoundingClientRect();
     const u = ((event.clientX - area.left) / area.width) * this.#size[0] - 0.5;
@@ -202,7 +202,7 @@ export class Overlay extends EventTarget {
     return [round(u), round(v)];
   }
 
-  /** Arrow keys go to the nearest control in that direction. */
+  /** Arrow keys move the focus to the nearest control in that direction. */
   #arrows(event) {
     const way = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] }[event.key];
     const from = this.#panel.controls.find((control) => control.name === event.target.dataset?.control);
@@ -222,7 +222,7 @@ export class Overlay extends EventTarget {
   }
 }
 
-/** A ring where it begins, and a head where it ends. */
+/** An arrow with a ring at its start and a head at its end. */
 function arrow([u, v], [toU, toV]) {
   const length = Math.hypot(toU - u, toV - v) || 1;
   const [du, dv] = [(12 * (toU - u)) / length, (12 * (toV - v)) / length];
@@ -230,13 +230,13 @@ function arrow([u, v], [toU, toV]) {
   return `M${u - 6} ${v}a6 6 0 1 0 12 0a6 6 0 1 0 -12 0M${u} ${v}L${toU} ${toV}${head.join("")}`;
 }
 
-/** How far around each control, in px of the picture, a click may still mean it: half way to the middles of others. */
+/** Distance around each control, in px of the picture, in which a click selects it: half way to other middles. */
 function roomsOf(controls) {
   const rooms = controls.map(() => [ROOM, ROOM]);
   controls.forEach((one, a) => controls.slice(0, a).forEach((other, b) => {
     const apart = [0, 1].map((axis) => Math.abs(centre(one)[axis] - centre(other)[axis]));
     const gaps = apart.map((distance, axis) => distance - (one.box[axis + 2] + other.box[axis + 2]) / 2);
-    const axis = gaps[0] > gaps[1] ? 0 : 1; // that they are farther apart along
+    const axis = gaps[0] > gaps[1] ? 0 : 1; // axis along which they are farther apart
     for (const [room, { box }] of [[rooms[a], one], [rooms[b], other]]) {
       room[axis] = Math.min(room[axis], Math.max(0, (apart[axis] - box[axis + 2]) / 2));
     }
@@ -244,7 +244,7 @@ function roomsOf(controls) {
   return rooms;
 }
 
-/** Where a control's name is shown so that it is not cut off at the picture's edge; elsewhere above its middle. */
+/** Position of a control's name: above its middle, unless the picture's edge would cut it off. */
 function tagPlace({ label, box }, [width, height]) {
   const [x, y] = [(box[0] + box[2] / 2) / width, box[1] / height];
   const [side] = [x < 1 / 3 && "left", x > 2 / 3 && "right"].filter(Boolean);

@@ -1,4 +1,4 @@
-// What recognition sees of the panel: lit lamps, knobs' angles, screens that changed, and what hides a control.
+// State of the panel seen by recognition: lit lamps, angles of knobs, changed screens, hidden controls.
 
 import { timeText } from "./clock.js";
 import { desk } from "./desk.js";
@@ -12,12 +12,12 @@ export function setPanel(list) {
   controls = new Map(list.map((control) => [control.name, control]));
 }
 
-/** What is seen of a control now; without a link nobody knows. */
+/** Seen state of a control; unknown without a link. */
 export function seenOf(name) {
   return desk.link.silent ? undefined : controls.get(name);
 }
 
-/** What is seen of a control, in words; empty where there is nothing to say. */
+/** Seen state of a control in words; empty if there is none. */
 export function seenText(name) {
   const seen = seenOf(name);
   if (!seen) return "";
@@ -28,7 +28,7 @@ export function seenText(name) {
   return t("changed_at", { time: timeText(seen.changed_ms) });
 }
 
-/** The marked position that a knob stands at, with its angle. */
+/** Marked position of a knob, with its angle. */
 function markText({ marks, angle_deg: angle }) {
   const near = Object.entries(marks).find(([, place]) => Math.abs(((angle - place + 540) % 360) - 180) <= 4);
   return near ? t("at_mark", { mark: near[0], degrees: degrees(angle) }) : undefined;
@@ -38,7 +38,7 @@ function degrees(value) {
   return `${value > 0 ? "+" : ""}${value}`;
 }
 
-/** List what can be said of the panel; `shown` are the controls of the picture, which have labels. */
+/** List the panel's state; `shown` are the controls in the picture, which have labels. */
 export function renderPanel(shown) {
   labels = new Map(shown.map((control) => [control.name, control.label]));
   const list = find("seen");

@@ -1,4 +1,4 @@
-// Plots of the last minute: position, picture's age and link, and the measured error of the last touches.
+// Plots of the last minute: position, age of the picture, and link; and measured errors of the last touches.
 
 import { desk } from "./desk.js";
 import { find, put, svg } from "./dom.js";
@@ -6,7 +6,7 @@ import { localNumbers } from "./numbers.js";
 import { t } from "./strings.js";
 
 const SPAN_MS = 60_000;
-const NOW_MS = 1000; // what is older is drawn, and not told as what is now
+const NOW_MS = 1000; // older values are drawn, but not shown as current
 const [WIDTH, HEIGHT] = [340, 84];
 const series = { x: [], y: [], stylus: [], picture: [], link: [] };
 const errors = []; // mm

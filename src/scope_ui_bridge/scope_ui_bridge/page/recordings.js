@@ -13,7 +13,7 @@ export function setRecordings(list) {
   running = list;
 }
 
-/** Whether the bridge itself records: another program's recording is not ended from here. */
+/** Whether the bridge itself records: this page cannot end another program's recording. */
 export const records = () => running.some(({ who }) => who !== "");
 
 function duration({ for_s: seconds }) {

@@ -1,5 +1,5 @@
-// What the programs of the graph say (reasons, states in sentences), in the page's language and its time; unknown text
-// stays as it is.
+// Translates texts of the graph's programs (reasons, states in sentences) into the page's language and time; unknown
+// text remains unchanged.
 
 import { localNumbers } from "./numbers.js";
 import { PHRASES_DE } from "./phrases_de.js";
@@ -11,12 +11,12 @@ const LONGEST = 1000;
 const MANY = 2000;
 const MOMENT = /\b\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d(?:\.\d+)?(?:Z|[+-]\d\d:\d\d)/g;
 const isOne = (value) => !value.includes("; ");
-// What values may be: a value that holds two sentences may have swallowed the end of another phrase, so it is the second
-// choice; that one says nothing ("24 samples{}" with nothing more about them) is the third.
+// Permitted values, best first: a value with two sentences may include the end of another phrase, so it is the second
+// choice; an empty value ("24 samples{}" without a further remark) is the third.
 const CHOICES = [{ least: 1, accepted: isOne }, { least: 1, accepted: () => true }, { least: 0, accepted: isOne }];
 const known = new Map();
 
-/** Return it in the page's language. */
+/** Return a text in the page's language. */
 export function said(text) {
   const language = document.documentElement.lang;
   if (typeof text !== "string" || text.length > LONGEST) return text ?? "";
@@ -35,7 +35,7 @@ function ofTheClock(moment, language) {
   return time.toLocaleString(language, { dateStyle: "medium", timeStyle: "short", hourCycle: "h23" });
 }
 
-/** Templates without values by their text; the others as pieces between the values, those that say most first. */
+/** Templates without values by their text; the others as pieces between the values, longest text first. */
 function phrases(table) {
   const whole = new Map(table.filter(([from]) => !from.includes("{}")));
   const parts = table.filter(([from]) => from.includes("{}")).map(([from, to]) => ({ pieces: from.split("{}"), to }));
@@ -54,10 +54,10 @@ function translated(text, { whole, parts }, depth) {
       if (values?.every(accepted)) return filled(to, values.map(again));
     }
   }
-  // Checks of a sequence, each with what was seen instead.
+  // Checks of a sequence, each with the state that was seen instead.
   const [, check, instead, , more] = /^(\S+) \(([^()]+)\)(, (.+))?$/.exec(text) ?? [];
   if (check) return `${check} (${again(instead)})${more ? `, ${again(more)}` : ""}`;
-  // Reasons are put together by "; " and ": "; each part may be known.
+  // Reasons are joined by "; " and ": "; each part may be a known phrase.
   for (const glue of GLUE) {
     const at = text.indexOf(glue);
     if (at <= 0) continue;
@@ -66,8 +66,7 @@ function translated(text, { whole, parts }, depth) {
   return localNumbers(text);
 }
 
-/** What stands between the pieces, each value as short as it can be but of `least` letters; null when they are not
- * there in this order. */
+/** Values between the pieces, each as short as possible with at least `least` letters; null if the order differs. */
 function valuesOf(text, pieces, least) {
   const last = pieces.at(-1);
   if (!text.startsWith(pieces[0]) || !text.endsWith(last)) return null;

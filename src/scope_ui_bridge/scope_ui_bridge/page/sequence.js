@@ -9,11 +9,11 @@ import { t } from "./strings.js";
 const ARMED_MS = 4000;
 const ICON = { waiting: "○", work: "▶", done: "✓", failed: "✕", unknown: "?" };
 let stored = [];
-let run = null; // what the bridge says of the last one
+let run = null; // the bridge's report on the last sequence
 let spokenOf = "";
 let timer = 0;
 let armedAt = 0;
-let begun = ""; // the steps as they were written when the last run began
+let begun = ""; // the steps as written at the start of the last run
 
 export function setSequences(list, last, robot) {
   if (place !== `steps ${robot}`) {
@@ -24,7 +24,7 @@ export function setSequences(list, last, robot) {
   const before = find("sequence-choice").value;
   const options = stored.map(({ name, title }) => new Option(title ? `${name} – ${title}` : name, name));
   const typed = new Option(t("sequence_typed"), "");
-  typed.dataset.text = "sequence_typed"; // follows the language
+  typed.dataset.text = "sequence_typed"; // changes with the language
   find("sequence-choice").replaceChildren(typed, ...options);
   if (stored.some(({ name }) => name === before)) find("sequence-choice").value = before;
   setSequence(last);
@@ -32,10 +32,10 @@ export function setSequences(list, last, robot) {
 
 // --- what was written, kept in this browser --------------------------------------------------------------------------
 
-let place = ""; // under which name it is kept: one address may lead to another robot tomorrow
-let note = null; // what is said of it: a key and its values
+let place = ""; // storage key with the robot's id: the same address may lead to another robot later
+let note = null; // note about the kept steps: a key and its values
 
-/** In this tab, which has its own after a reload, and for the next one. */
+/** Storage of this tab, which survives a reload, and storage for the next tab. */
 const stores = () => [sessionStorage, localStorage];
 
 function keep() {
@@ -45,7 +45,7 @@ function keep() {
   try {
     for (const store of stores()) text.trim() ? store.setItem(place, kept) : store.removeItem(place);
   } catch {
-    note = ["steps_not_kept", {}]; // the browser lets nothing be kept, or no more
+    note = ["steps_not_kept", {}]; // the browser's storage is disabled or full
   }
 }
 
@@ -58,7 +58,7 @@ function kept() {
   }
 }
 
-/** Put it back into its field; it is started as if it had been written now. */
+/** Restore the kept steps into their field, as if they had been typed now. */
 function bringBack() {
   const field = find("sequence-text");
   const found = kept();
@@ -77,7 +77,7 @@ export function setSequence(next) {
   spokenOf = key;
 }
 
-/** The steps that would be started now. */
+/** Steps that a start would send now. */
 function wanted() {
   const chosen = stored.find(({ name }) => name === find("sequence-choice").value);
   if (chosen) return chosen.steps;
@@ -94,12 +94,12 @@ function verdict() {
 
 // --- collecting ----------------------------------------------------------------------------------------------------
 
-/** Whether gesture buttons add a step instead of moving anything; also while another tab is looked at. */
+/** Whether gesture buttons add a step instead of moving anything; also while another tab is shown. */
 export function collecting() {
   return find("sequence-collect").checked;
 }
 
-/** Add what a gesture button would do, as a step with the check that is chosen. */
+/** Add a gesture button's action as a step, with the chosen check. */
 export function collect(gesture, { argument, mark }) {
   const { control, panel_mm: from, to_mm: to } = desk.selection;
   const place = ([x, y]) => `${(x / 1000).toFixed(4)},${(y / 1000).toFixed(4)}@panel_link`;
@@ -115,7 +115,7 @@ export function collect(gesture, { argument, mark }) {
 
 // --- starting ------------------------------------------------------------------------------------------------------
 
-/** Whether a second click starts it: the first one was for the very steps that are chosen now. */
+/** Whether a second click starts it: the first click was for the same steps. */
 const armed = () => find("sequence-start").dataset.armed === wanted().join("\n");
 
 function disarm() {
@@ -151,7 +151,7 @@ export function wireSequence() {
 }
 
 function status(index) {
-  // What was done is done; how far it is by now nobody sees without a link.
+  // Finished steps are known; without a link the current progress is unknown.
   if (running() && desk.link.silent && index + 1 >= run.number) return "unknown";
   if (!run.status || index + 1 > run.number) return run.status === "reached" ? "done" : "waiting";
   if (index + 1 < run.number || run.status === "reached") return "done";
@@ -162,7 +162,7 @@ export function renderSequence() {
   if (!run) return;
   const mine = wanted();
   const shown = running() ? run.steps : mine.length ? mine : run.steps;
-  // The last run's steps keep their marks for as long as they are what is chosen.
+  // The last run's steps keep their marks while they are chosen.
   const marked = running() || !mine.length || [begun, run.steps.join()].includes(mine.join());
   const list = find("sequence-steps");
   const key = JSON.stringify([shown, marked && [run.status, run.number, run.reason], desk.link.silent, document.documentElement.lang]);
@@ -177,9 +177,9 @@ export function renderSequence() {
   put(button, t(armed() ? "sequence_confirm" : "sequence_start", { count: mine.length }));
   put(find("sequence-kept"), note ? t(...note) : "");
   find("sequence-typed").hidden = find("sequence-choice").value !== "";
-  const work = run.number ? "sequence_step" : "sequence_sent"; // the sequencer tells the number when it begins
+  const work = run.number ? "sequence_step" : "sequence_sent"; // the sequencer reports the number when it starts
   const known = running() ? t(work, { number: run.number, all: run.steps.length }) : run.status ? verdict() : "";
-  const text = desk.link.silent ? "" : known; // the reason says it then
+  const text = desk.link.silent ? "" : known; // the reason below is shown then
   if (text) put(find("sequence-said"), text);
   else putSteady(find("sequence-said"), why);
   find("sequence-said").dataset.status = text && run.status;

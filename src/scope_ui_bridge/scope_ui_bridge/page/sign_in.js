@@ -1,4 +1,4 @@
-// The sign-in page in the browser's language; without script it is in English.
+// Shows the sign-in page in the browser's language; without scripts it is in English.
 
 import { startLanguage } from "./strings.js";
 

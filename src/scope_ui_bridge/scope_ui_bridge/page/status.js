@@ -1,4 +1,4 @@
-// Header and banner: states by text and icon as well as by colour.
+// Header and banner: states by text and icon in addition to colour.
 
 import { putSteady, reachable } from "./dom.js";
 import { said } from "./said.js";
@@ -28,12 +28,13 @@ export function chip(id, look, text, title = "") {
   element.querySelector("dd").replaceChildren(icon, text);
 }
 
-/** The state's name for people: a calibration after which something has moved is still used, but not as good as it says. */
+/** The state's name for people: after a movement of the setup, a calibration is still used but less accurate than
+stated. */
 export function named({ state, reason }) {
   return state === "calibrated" && reason.includes("; drift: ") ? "drifted" : state;
 }
 
-/** Show a part's state; `more` is added to its title. */
+/** Show a part's state; `more` is appended to its title. */
 export function stateChip(id, { state: found, reason: told }, more = "") {
   const [state, reason] = [named({ state: found, reason: told }), said(told)];
   const text = state ? t(`state_${state}`, { reason }) : t("unknown");
@@ -41,7 +42,7 @@ export function stateChip(id, { state: found, reason: told }, more = "") {
   chip(id, LOOK_OF[state] ?? "none", text, more ? `${full}; ${more}` : full);
 }
 
-/** What the button beside the banner says as well: a telephone has no room for it. */
+/** Text repeated on the button next to the banner: a telephone has no room for it. */
 function besideButton(text) {
   const element = document.createElement("span");
   element.className = "beside";
@@ -49,7 +50,7 @@ function besideButton(text) {
   return element;
 }
 
-/** Show the most urgent of the sentences that apply; the line is always there, so that nothing jumps. */
+/** Show the most urgent sentence that applies; the line is always present, so that nothing moves. */
 export function banner(element, candidates) {
   const found = candidates.find((candidate) => candidate.when);
   const key = `${found.look} ${found.text} ${found.beside ?? ""}`;

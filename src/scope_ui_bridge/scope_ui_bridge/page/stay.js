@@ -1,10 +1,10 @@
-// A sign-in that ends: told some minutes before, and put off by signing in again here, so that control and page stay.
+// End of a sign-in: announced some minutes before; a new sign-in here extends it, so that control and page remain.
 
 import { desk } from "./desk.js";
 import { find, put, say } from "./dom.js";
 import { t } from "./strings.js";
 
-let problem = ""; // why the last try was refused
+let problem = ""; // why the last attempt was refused
 
 export function renderStay() {
   const form = find("stay");
@@ -21,7 +21,7 @@ export function renderStay() {
   find("stay-secret").autocomplete = desk.me.by_password ? "current-password" : "off";
   find("stay-secret").title = desk.me.by_password ? "" : t("sign_in_no_token");
   put(find("stay-problem"), problem && t(problem));
-  if (form.hidden) say(text); // what was hidden is no live region
+  if (form.hidden) say(text); // screen readers do not announce an element that was hidden
   form.hidden = false;
 }
 

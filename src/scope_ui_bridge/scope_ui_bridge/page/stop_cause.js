@@ -1,12 +1,12 @@
-// Why the machine was stopped, in the page's language.
+// Cause of a stop in the page's language.
 
 import { said } from "./said.js";
 import { t } from "./strings.js";
 
-// What the driver says when it stopped by itself, as far as an operator's page is part of it; the rest is shown as it is.
+// The driver's own reasons for a stop that concern an operator's page; other reasons are shown unchanged.
 const DRIVER = [[/^operator's heartbeat lost/, "stopped_heartbeat"]];
 
-/** Return the sentence for a driver that has stopped. */
+/** Return the sentence for a stopped driver. */
 export function stopBanner(state) {
   const reason = causeText(state);
   return reason ? t("banner_stopped", { reason }) : t("banner_stopped_bare");

@@ -1,4 +1,4 @@
-// The page's sentences in the language that was chosen; strings_en.js and strings_de.js have the same keys.
+// The page's sentences in the chosen language; strings_en.js and strings_de.js have the same keys.
 
 import { localNumbers } from "./numbers.js";
 import { DE } from "./strings_de.js";
@@ -8,7 +8,7 @@ const LANGUAGES = { en: EN, de: DE };
 const KEPT = "language";
 let table = EN;
 
-/** Return the sentence of a key with its values put in; an unknown key comes back as it is (text from the graph). */
+/** Return the sentence of a key with its values; an unknown key is returned unchanged (text from the graph). */
 export function t(key, values = {}) {
   const sentence = table[key] ?? String(key);
   const filled = sentence.replace(/\{(\w+)\}/g, (whole, name) => isolated(localNumbers(values[name] ?? "")));
@@ -17,14 +17,14 @@ export function t(key, values = {}) {
 
 const FROM_RIGHT = /[\u0590-\u08ff\ufb1d-\ufdff\ufe70-\ufefc\u{10800}-\u{10fff}\u{1e800}-\u{1efff}]/u;
 
-/** A name that is written from right to left does not turn round the numbers and signs beside it. */
+/** Isolate a name, so that right-to-left text does not reverse the numbers and signs next to it. */
 const isolated = (value) => (FROM_RIGHT.test(value) ? `\u2068${value}\u2069` : value);
 
 export function has(key) {
   return key in EN;
 }
 
-/** Fill in the texts that the HTML names. */
+/** Fill in the texts named in the HTML. */
 function fillTexts() {
   for (const element of document.querySelectorAll("[data-text]")) element.textContent = t(element.dataset.text);
   for (const element of document.querySelectorAll("[data-label]")) element.setAttribute("aria-label", t(element.dataset.label));
@@ -36,7 +36,7 @@ export function language() {
   return document.documentElement.lang;
 }
 
-/** Use the language that was chosen before, or the browser's. */
+/** Use the language chosen before, or the browser's. */
 export function startLanguage() {
   setLanguage(localStorage.getItem(KEPT) ?? navigator.language.slice(0, 2));
 }

@@ -36,6 +36,7 @@ export const DE = {
   axis_stylus: "Stift ab",
   desk: "Pult",
   mm: "{value} mm",
+  mm_bound: "{value} mm (95 %: bis {bound})",
   ms: "{value} ms",
 
   lease_title: "Bedienung",
@@ -113,6 +114,10 @@ export const DE = {
   said: "{action} {target}: {status}. {reason}",
   said_error: "{action} {target}: {status}, gemessener Fehler {error} mm. {reason}",
   effect: "Wirkung: {effect}.",
+  touch_pressed: "Gedrückt: Kontakt und Wirkung.",
+  touch_touched: "Berührt: Kontakt, keine Wirkung zu sehen.",
+  touch_not_touched: "Nicht berührt.",
+  touch_unknown: "Ob berührt wurde, ist nicht bekannt.",
 
   unknown: "unbekannt",
   state_disconnected: "Getrennt",

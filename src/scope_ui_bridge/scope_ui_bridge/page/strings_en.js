@@ -1,4 +1,4 @@
-// Every sentence of the page in English. `{name}` is replaced by a value.
+// Every sentence of the page in English. `{name}` is replaced by its value.
 
 export const EN = {
   product: "Remote instrument",
@@ -36,6 +36,7 @@ export const EN = {
   axis_stylus: "Stylus down",
   desk: "Desk",
   mm: "{value} mm",
+  mm_bound: "{value} mm (95 %: {bound})",
   ms: "{value} ms",
 
   lease_title: "Control",
@@ -113,6 +114,10 @@ export const EN = {
   said: "{action} {target}: {status}. {reason}",
   said_error: "{action} {target}: {status}, measured error {error} mm. {reason}",
   effect: "Effect: {effect}.",
+  touch_pressed: "Pressed: contact and effect.",
+  touch_touched: "Touched: contact, no effect seen.",
+  touch_not_touched: "Not touched.",
+  touch_unknown: "It is not known whether it was touched.",
 
   unknown: "unknown",
   state_disconnected: "Disconnected",

@@ -1,4 +1,4 @@
-// Tabs as the ARIA authoring practices describe them: arrow keys move between them, one is in the tab order.
+// Tabs by the ARIA authoring practices: arrow keys move between them, one is in the tab order.
 
 export function wireTabs(list) {
   const tabs = [...list.querySelectorAll('[role="tab"]')];

@@ -1,4 +1,4 @@
-// Teaching a new panel, for engineers: a held picture, its four corners and its controls pointed at, a layout written.
+// Teaching a new panel, for engineers: mark four corners and the controls in a held picture, write a layout.
 
 import { desk } from "./desk.js";
 import { doubled, find, put, say } from "./dom.js";
@@ -9,11 +9,11 @@ import { wasDragged } from "./tools.js";
 
 const CORNERS = ["lower_left", "lower_right", "upper_right", "upper_left"];
 let held = null; // {stamp, width, height}
-let newest = ""; // the stamp of the one that was asked for last
-let corners = CORNERS.map(() => null); // [u, v], or null until it is pointed at
+let newest = ""; // stamp of the last requested picture
+let corners = CORNERS.map(() => null); // [u, v], or null until marked
 let controls = []; // {name, kind, size: [w, h], proud, at}
-let active = 0; // which place the next click is for: 0 to 3 the corners, then the controls
-let answer = ""; // what became of the last one, in words
+let active = 0; // index of the point that the next click sets: 0 to 3 the corners, then the controls
+let answer = ""; // result of the last lesson in words
 let command = "";
 
 const place = (index) => (index < 4 ? corners[index] : controls[index - 4]?.at ?? null);
@@ -29,7 +29,7 @@ function name(index) {
   return index < 4 ? t(`corner_${CORNERS[index]}`) : controls[index - 4].name;
 }
 
-/** The held picture; null when it does not come, or is held no more. */
+/** The held picture; null if it does not arrive or is no longer held. */
 async function loaded(stamp) {
   try {
     const picture = await fetch(`/held.jpg?stamp=${stamp}`);
@@ -46,7 +46,7 @@ export async function setHeld(message) {
     return;
   }
   const bitmap = await loaded(message.stamp);
-  if (newest !== message.stamp) return; // another one was held meanwhile
+  if (newest !== message.stamp) return; // another picture was held meanwhile
   if (!bitmap) {
     answer = t("teach_no_picture");
     return;
@@ -62,7 +62,7 @@ export async function setHeld(message) {
   show();
 }
 
-/** The held picture lies over the live one while its tab is open; nothing can be moved from this page meanwhile. */
+/** The held picture covers the live one while its tab is open; this page cannot move anything meanwhile. */
 export function show() {
   const on = held !== null && !find("panel-teach").hidden;
   const changed = find("stage").classList.contains("teaching") !== on;
@@ -81,7 +81,7 @@ export function taught(message) {
 
 function pointed(event) {
   if (!find("stage").classList.contains("teaching")) return;
-  event.stopImmediatePropagation(); // nothing is selected in a held picture
+  event.stopImmediatePropagation(); // a held picture has no selection
   if (wasDragged()) return;
   const area = find("held").getBoundingClientRect();
   const at = [
@@ -164,7 +164,7 @@ function added(event) {
   find("teach-name").value = "";
   active = 3 + controls.length;
   renderPlaces();
-  find("stage").scrollIntoView({ block: "nearest" }); // on a tablet the form stands below the picture
+  find("stage").scrollIntoView({ block: "nearest" }); // on a tablet the form is below the picture
 }
 
 async function write(event) {
@@ -197,7 +197,7 @@ export function wireTeach() {
   renderPlaces();
 }
 
-/** Write all names anew, in another language. */
+/** Rewrite all names in another language. */
 export const relabelTeach = renderPlaces;
 
 export function renderTeach() {

@@ -1,4 +1,4 @@
-// The picture's tools: zoom and pan, hold the picture of before over the live one, save what is seen.
+// Tools of the picture: zoom and pan, show an earlier picture over the live one, save the view.
 
 import { timeText, wallNow } from "./clock.js";
 import { desk } from "./desk.js";
@@ -8,10 +8,10 @@ import { t } from "./strings.js";
 
 const MAX_ZOOM = 8;
 const CLICK_PX = 6; // a pointer that moves less has clicked
-const view = { zoom: 1, x: 0, y: 0 }; // x, y: the stage's fraction by which the world is shifted
+const view = { zoom: 1, x: 0, y: 0 }; // x, y: shift as a fraction of the stage
 const pointers = new Map();
 let dragged = false;
-let before = null; // {canvas, at}: the picture when the last command was confirmed, or when frozen
+let before = null; // {canvas, at}: the picture at the last confirmation, or when frozen
 
 function apply() {
   const limit = view.zoom - 1;
@@ -58,7 +58,7 @@ function wireZoom() {
   for (const end of ["pointerup", "pointercancel", "pointerleave"]) {
     stage.addEventListener(end, (event) => pointers.delete(event.pointerId));
   }
-  // A drag is no click: nothing may be selected by it. A key's click (detail 0) belongs to no drag.
+  // A drag is no click and must not select anything. A key's click (detail 0) is not part of a drag.
   stage.addEventListener("click", (event) => dragged && event.detail !== 0 && event.stopPropagation(), true);
   document.addEventListener("keydown", (event) => {
     ({ "+": () => zoom(1.5), "-": () => zoom(1 / 1.5), 0: () => zoom(0) })[singleKey(event)]?.();
@@ -111,7 +111,7 @@ function hold(on) {
   desk.changed();
 }
 
-/** Take a kept picture away. */
+/** Remove a kept picture. */
 export function showLive() {
   if (desk.frozen) hold(false);
 }
@@ -142,7 +142,7 @@ export function renderTools() {
 
 // --- saving --------------------------------------------------------------------------------------------------------
 
-/** The picture as it is seen, with a line that says whose, when and how old it was. */
+/** Save the picture as shown, with a line of instrument, camera, time, age and user. */
 function snapshot() {
   const source = desk.frozen ? find("before") : find("picture");
   const canvas = document.createElement("canvas");
@@ -162,7 +162,7 @@ function snapshot() {
   canvas.toBlob((blob) => save(`picture_${fileTime(at)}.png`, blob), "image/png");
 }
 
-/** Whether the pointer's last way was a drag, which clicks on nothing. */
+/** Whether the pointer's last motion was a drag, which is no click. */
 export function wasDragged() {
   return dragged;
 }

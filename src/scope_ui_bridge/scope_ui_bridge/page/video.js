@@ -1,8 +1,8 @@
-// The live picture: newest frame only. A frame is acknowledged once it is drawn, so a slow or hidden page gets fewer.
+// Live picture: newest frame only. A frame is acknowledged when it is drawn, so a slow or hidden page gets fewer.
 
-export const COMPUTED = ["corners", "edges"]; // layers that are found in each picture, only while somebody looks
+export const COMPUTED = ["corners", "edges"]; // layers computed from each picture while a page shows them
 const SILENT_MS = 1000;
-const PATIENCE_MS = [3000, 24_000]; // at first, and at most: on a very slow link a picture may be long on its way
+const PATIENCE_MS = [3000, 24_000]; // initial and maximum: on a very slow link a picture takes long
 
 export class Video extends EventTarget {
   #socket = null;
@@ -12,13 +12,13 @@ export class Video extends EventTarget {
   #retryMs = 300;
   #retry = 0;
   #heard = 0;
-  #waitsAwakeMs = 0; // since when a picture is waited for, in the link's time in which the page could look
+  #waitsAwakeMs = 0; // start of the wait for a picture, in the link's awake time
   #patienceMs = PATIENCE_MS[0];
   #pending = null; // {about, jpeg, arrived, socket}
   #decoding = false;
-  #passedOver = null; // what was said with the last picture that brought outlines and was not shown
+  #passedOver = null; // data of the last picture with outlines that was not shown
   #link;
-  shown = null; // {camera, stamp, age_ms, sent_ms, light, arrived}; age_ms: when it was sent, by the bridge's clock
+  shown = null; // {camera, stamp, age_ms, sent_ms, light, arrived}; age_ms: age when it was sent, by the bridge's clock
 
   constructor(canvas, link) {
     super();
@@ -27,16 +27,16 @@ export class Video extends EventTarget {
     this.#link = link;
   }
 
-  factor = 1; // simulated over wall time; 1 where nothing is simulated
+  factor = 1; // simulated over wall time; 1 without simulation
 
-  /** Age of the shown picture in ms, by the graph's time: age when sent, its way, and the time since it came. */
+  /** Age of the shown picture in ms of the graph's time: age when sent, transit time, and time since arrival. */
   get ageMs() {
     if (!this.shown) return Infinity;
     const { age_ms, sent_ms, arrived } = this.shown;
     return age_ms + (this.#link.way(sent_ms, arrived) + performance.now() - arrived) * this.factor;
   }
 
-  /** How long nothing new has been seen: the picture's age; before the first one of a camera, since any other came. */
+  /** Time without a new picture: the picture's age; before a camera's first one, time since any arrival. */
   get blindMs() {
     return this.shown ? this.ageMs : performance.now() - this.#heard;
   }
@@ -68,7 +68,7 @@ export class Video extends EventTarget {
     });
   }
 
-  /** Ask anew where nothing has come for a while: no close event may ever come of a connection that hangs. */
+  /** Reconnect if nothing has arrived for a while: a hanging connection may never send a close event. */
   renew() {
     if (performance.now() - this.#heard < SILENT_MS) return;
     const before = this.#socket;
@@ -76,7 +76,7 @@ export class Video extends EventTarget {
     before?.close();
   }
 
-  /** Call often: a connection may hang alone, while the other one lives. */
+  /** Call often: this connection may hang while the other one works. */
   watch() {
     if (this.#link.awakeMs - this.#waitsAwakeMs < this.#patienceMs) return;
     this.#patienceMs = Math.min(2 * this.#patienceMs, PATIENCE_MS[1]);
@@ -116,7 +116,7 @@ export class Video extends EventTarget {
     this.#decoding = false;
   }
 
-  /** The panel's outlines come once, until it moves: a picture that is not shown leaves them to the next one. */
+  /** The panel's outlines are sent once until it moves: a picture that is not shown passes them on to the next one. */
   #passOver(about) {
     if (about.panel) this.#passedOver = about;
   }
@@ -131,15 +131,15 @@ export class Video extends EventTarget {
       this.#canvas.width = about.width;
       this.#canvas.height = about.height;
     }
-    this.#context.drawImage(bitmap, 0, 0, about.width, about.height); // light pictures are half as large
-    // What was under way when a layer was switched off is not wanted any more.
+    this.#context.drawImage(bitmap, 0, 0, about.width, about.height); // light pictures are smaller
+    // Discard layers that were in transit when they were switched off.
     for (const layer of COMPUTED) if (!this.#wish[layer]) delete about[layer];
     const { camera, stamp, age_ms, sent_ms, light } = about;
     this.shown = { camera, stamp, age_ms, sent_ms, light, arrived };
     this.dispatchEvent(new CustomEvent("frame", { detail: about }));
   }
 
-  /** Acknowledge in the next animation frame: hidden pages have none, and then the server makes no pictures for us. */
+  /** Acknowledge in the next animation frame: a hidden page has none, so the server encodes no pictures for it. */
   #drawn(seq) {
     return new Promise((resolve) =>
       requestAnimationFrame(() => {
@@ -150,7 +150,7 @@ export class Video extends EventTarget {
   }
 }
 
-/** Take a message apart: four bytes (the JSON's length), what is said of the picture, and the picture. */
+/** Split a message: four bytes (length of the JSON), JSON about the picture, and the picture. */
 function parts(data) {
   const length = new DataView(data).getUint32(0);
   const about = JSON.parse(new TextDecoder().decode(new Uint8Array(data, 4, length)));

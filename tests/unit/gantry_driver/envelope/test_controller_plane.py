@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from unit.gantry_driver.controller_bench import BASE_FROM_PANEL, CAMERA_FROM_BASE, Bench
 
-from gantry_driver.core import controller_messages as msg
 from gantry_driver.core.envelope.estimate import HELD_SIGMA_M, PlaneEstimate
 from gantry_driver.core.envelope.plane import PanelPlane
-from gantry_driver.core.goal_job import Phase
-from icu_common.core.geometry import Transform
-from icu_common.core.intent import Intent
-from icu_common.core.results import Outcome
+from gantry_driver.core.goals import controller_messages as msg
+from gantry_driver.core.goals.goal_job import Phase
+from icu_common.core.geometry.geometry import Transform
+from icu_common.core.goals.intent import Intent
+from icu_common.core.goals.results import Outcome
 
 BALL_M, SIGMA_M = 0.002, 0.0001
 

@@ -9,13 +9,13 @@ from unit.gantry_driver.protocol_board import HOMED, Rig
 
 from gantry_driver.core.envelope.config import EnvelopeConfig
 from gantry_driver.core.envelope.plane import PanelPlane
+from gantry_driver.core.grbl.trajectory_gcode import Waypoint
 from gantry_driver.core.guard.commands import COMMANDS
-from gantry_driver.core.machine_config import DriverConfig
-from gantry_driver.core.machine_states import Note
-from gantry_driver.core.trajectory_gcode import Waypoint
-from icu_common.core.frames import JOINTS
-from icu_common.core.intent import Intent, frame_of, read_frame
-from icu_common.core.results import GoalResult, Outcome
+from gantry_driver.core.machine.machine_config import DriverConfig
+from gantry_driver.core.machine.machine_states import Note
+from icu_common.core.geometry.frames import JOINTS
+from icu_common.core.goals.intent import Intent, frame_of, read_frame
+from icu_common.core.goals.results import GoalResult, Outcome
 
 FACE_M = 0.035
 PLANE = PanelPlane(at_m=(0.18, 0.11, FACE_M), slope=(0.0, 0.0), covariance=(1e-8, 0, 0, 0, 0, 0, 0, 0, 0))

@@ -7,10 +7,10 @@ import math
 import pytest
 from parameter_files import CONFIG, parameters
 
-from gantry_driver.core.controller_config import ControllerConfig
-from gantry_driver.core.machine_config import DriverConfig
-from icu_common.core.config import from_mapping
-from icu_common.core.panel_layout import load_layout
+from gantry_driver.core.goals.controller_config import ControllerConfig
+from gantry_driver.core.machine.machine_config import DriverConfig
+from icu_common.core.configuration.config import from_mapping
+from icu_common.core.panel.panel_layout import load_layout
 
 DRIVER = from_mapping(DriverConfig, parameters("serial_driver"))
 CONTROLLER = from_mapping(ControllerConfig, parameters("gantry_controller"))

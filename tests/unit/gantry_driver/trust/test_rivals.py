@@ -6,11 +6,11 @@ import pytest
 from unit.gantry_driver.controller_bench import BASE_FROM_PANEL, CAMERA_FROM_PANEL, Bench
 from unit.gantry_driver.protocol_board import HOMED, Rig
 
-from gantry_driver.core import controller_messages as msg
-from gantry_driver.core.goal_job import Phase
-from gantry_driver.core.trajectory_gcode import Waypoint
-from icu_common.core.frames import JOINTS
-from icu_common.core.results import Outcome
+from gantry_driver.core.goals import controller_messages as msg
+from gantry_driver.core.goals.goal_job import Phase
+from gantry_driver.core.grbl.trajectory_gcode import Waypoint
+from icu_common.core.geometry.frames import JOINTS
+from icu_common.core.goals.results import Outcome
 
 POSE = "two programs publish panel/pose: /foreign and /panel/recognition"
 WAY = "two programs publish gantry/trajectory: /foreign and /gantry/gantry_controller"

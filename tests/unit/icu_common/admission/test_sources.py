@@ -8,7 +8,7 @@ import sys
 
 import pytest
 
-from icu_common.adapters.process_identity import ParticipantProcesses
+from icu_common.adapters.processes.process_identity import ParticipantProcesses
 from icu_common.core.admission.sources import (
     LEASE_S,
     NAMED_WITHIN_S,

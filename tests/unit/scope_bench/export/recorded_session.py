@@ -9,13 +9,15 @@ import cv2
 import numpy as np
 from rosbags.typesys import Stores, get_typestore
 
-from scope_bench.adapters.bags import BagTopic, BagWriter
+from scope_bench.adapters.bag.bags import BagTopic, BagWriter
 
 TYPES = get_typestore(Stores.ROS2_JAZZY)
 START_NS = 1_700_000_000_000_000_000
 NAMES = ["gantry_x_joint", "gantry_y_joint", "stylus_joint"]
 WIDTH, HEIGHT = 64, 48
 JOINT_PERIOD_S, GAP = 0.05, (1.0, 1.6)
+AXES = ((1.0, 0.5), (0.0, 1.0))
+"""Directions of the two rails in base_link, in the columns."""
 KINDS = {
     "/joint_states": "sensor_msgs/msg/JointState",
     "/gantry/goal": "geometry_msgs/msg/PointStamped",
@@ -29,6 +31,7 @@ KINDS = {
     "/stereo/right/image_raw": "sensor_msgs/msg/Image",
     "/stereo/left/camera_info": "sensor_msgs/msg/CameraInfo",
     "/stereo/right/camera_info": "sensor_msgs/msg/CameraInfo",
+    "/calibration/axes": "std_msgs/msg/Float64MultiArray",
     "/calibration/camera_from_base": "geometry_msgs/msg/TransformStamped",
     "/panel/pose": "geometry_msgs/msg/PoseStamped",
     "/stylus/tip": "geometry_msgs/msg/PointStamped",
@@ -91,8 +94,10 @@ def rows() -> list[tuple[str, float, Any]]:
     transform = make("geometry_msgs/msg/Transform", translation=shift, rotation=turn)
     pose = make("geometry_msgs/msg/Pose", position=place, orientation=turn)
     left = header(0.0, "camera_left_optical_frame")
-    base = "/calibration/camera_from_base"
+    base, axes = "/calibration/camera_from_base", "/calibration/axes"
+    shape = make("std_msgs/msg/MultiArrayLayout", dim=[], data_offset=0)
     found += [
+        (axes, 0.0, make(KINDS[axes], layout=shape, data=np.array(AXES).ravel())),
         (base, 0.0, make(KINDS[base], header=left, child_frame_id="base_link", transform=transform)),
         ("/panel/pose", 0.0, make(KINDS["/panel/pose"], header=left, pose=pose)),
         ("/stylus/tip", 0.3, make(KINDS["/stylus/tip"], header=left, point=place)),
@@ -174,13 +179,15 @@ def info(seconds: float, side: str) -> Any:
     )
 
 
-def write(path: Path, *, namespace: str = "", without: tuple[str, ...] = ()) -> Path:
-    """Write the bag, without some topics."""
+def write(path: Path, *, namespace: str = "", without: tuple[str, ...] = (), calibrated_s: float = 0.0) -> Path:
+    """Write the bag, without some topics; the calibration ends ``calibrated_s`` after the start."""
+    late = {"/calibration/axes", "/calibration/camera_from_base"}
+    found = [(name, calibrated_s if name in late else seconds, message) for name, seconds, message in rows()]
     with BagWriter(path, "mcap") as bag:
         for name, kind in KINDS.items():
             if name not in without:
                 bag.add_topic(BagTopic(name=namespace + name, type=kind))
-        for name, seconds, message in rows():
+        for name, seconds, message in sorted(found, key=lambda row: row[1]):
             if name not in without:
                 data = bytes(TYPES.serialize_cdr(message, KINDS[name]))
                 bag.write(namespace + name, START_NS + round(seconds * 1e9), data)

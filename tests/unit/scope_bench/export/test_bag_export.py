@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from unit.scope_bench.export import recorded_session as recorded
 
-from scope_bench.adapters.bags import BagReader
+from scope_bench.adapters.bag.bags import BagReader
 from scope_bench.cli import bag_export
 
 GOLDEN = Path(__file__).parents[3] / "golden" / "bag"
@@ -94,7 +94,7 @@ def test_events_have_texts_points_and_values(session: Path, tmp_path: Path) -> N
 
 def test_the_golden_bag_is_exported_whole(tmp_path: Path) -> None:
     folder = export(GOLDEN, tmp_path / "out", "parquet")
-    assert [len(table(folder / f"{n}.parquet")) for n in ("states", "goals")] == [289, 20]
+    assert [len(table(folder / f"{n}.parquet")) for n in ("states", "goals")] == [315, 20]
     assert set(table(folder / "goals.parquet")["outcome"].to_pylist()) == {"unanswered"}
 
 
@@ -132,7 +132,7 @@ def test_videos_have_a_frame_for_each_message(session: Path, tmp_path: Path) -> 
 
 
 def test_images_that_cannot_be_written_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    from scope_bench.adapters.bags import BagTopic, BagWriter
+    from scope_bench.adapters.bag.bags import BagTopic, BagWriter
 
     with BagWriter(tmp_path / "bag", "mcap") as bag:
         bag.add_topic(BagTopic(name="/camera/image_raw/compressed", type="sensor_msgs/msg/CompressedImage"))

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from unit.scope_bench.export import recorded_session as recorded
 
-from scope_bench.adapters.bags import BagReader
+from scope_bench.adapters.bag.bags import BagReader
 from scope_bench.cli import bag_export
 
 GOLDEN = Path(__file__).parents[3] / "golden" / "bag"
@@ -46,7 +46,10 @@ def test_readings_scene_and_images_are_those_of_the_bag(tmp_path: Path) -> None:
     assert numbers("scene/base", "Transform3D:translation") == pytest.approx(np.array([[0.1, 0.2, 0.5]]))
     assert numbers("scene/panel", "Transform3D:translation") == pytest.approx(np.array([[0.1, 0.2, 0.6]]))
     assert numbers("scene/tip", "Points3D:positions") == pytest.approx(np.array([[0.1, 0.2, 0.6]]))
-    assert numbers("scene/base/stylus", "Points3D:positions")[-1] == pytest.approx([0.04, 0.08, -0.004])
+    assert numbers("scene/base/stylus", "Points3D:positions")[-1] == pytest.approx([0.08, 0.08, -0.004])
+    assert numbers("scene/base/axes", "Arrows3D:vectors").reshape(3, 3) == pytest.approx(0.05 * np.eye(3))
+    [[trace]] = found["scene/base/trace"]["LineStrips3D:strips"]
+    assert np.array(trace.tolist())[-1] == pytest.approx([0.08, 0.08, -0.004]) and len(trace) == len(states)
     assert numbers("scene/right", "Transform3D:translation")[-1] == pytest.approx([0.12, 0.0, 0.0])
     kind = recorded.KINDS["/stereo/left/image_raw/compressed"]
     with BagReader(bag) as source:
@@ -59,7 +62,22 @@ def test_readings_scene_and_images_are_those_of_the_bag(tmp_path: Path) -> None:
     assert texts == ["press:RUN_STOP id=a1", "press:MENU id=a2"]
 
 
+def test_readings_before_the_first_calibration_are_placed_by_it(tmp_path: Path) -> None:
+    """The viewer puts an entity without a transform at the camera."""
+    found = columns(recorded.write(tmp_path / "bag", calibrated_s=2.0), tmp_path / "out")
+    assert found["scene/base"]["time"] == [recorded.START_NS, recorded.START_NS + 2 * 10**9]
+    placed = [np.ravel(value.tolist()) for value in found["scene/base"]["Transform3D:translation"]]
+    assert np.array(placed) == pytest.approx(np.array(2 * [[0.1, 0.2, 0.5]]))
+    times = [round((ns - recorded.START_NS) / 1e9, 2) for ns in found["scene/base/stylus"]["time"]]
+    places = [np.ravel(value[0]) for value in found["scene/base/stylus"]["Points3D:positions"]]
+    readings = np.array([[0.01 * seconds, 0.02 * seconds] for seconds in times])
+    assert np.array(places)[:, :2] == pytest.approx(readings @ np.array(recorded.AXES).T, abs=1e-7)
+
+
 def test_without_a_calibration_the_machine_has_a_scene_of_its_own(tmp_path: Path) -> None:
     found = columns(GOLDEN, tmp_path / "out")
-    assert len(found["base/stylus"]["Points3D:positions"]) == 289
-    assert "scene/base" not in found and len(found["images/left"]["EncodedImage:blob"]) == 111
+    with BagReader(GOLDEN) as bag:
+        count = {topic.name: topic.count for topic in bag.topics}
+    assert len(found["base/stylus"]["Points3D:positions"]) == count["/joint_states"] > 200
+    assert len(found["images/left"]["EncodedImage:blob"]) == count["/stereo/left/image_raw/compressed"] > 100
+    assert "scene/base" not in found

@@ -19,6 +19,7 @@ from typing import Any
 
 from gantry_driver.adapters.guard.places import guard_path, peer_process, sample_threads
 from gantry_driver.adapters.wake_pipe import WakePipe
+from gantry_driver.core.grbl.trajectory_gcode import Waypoint
 from gantry_driver.core.guard.commands import COMMANDS
 from gantry_driver.core.guard.messages import (
     FrameError,
@@ -29,20 +30,18 @@ from gantry_driver.core.guard.messages import (
     waypoint_values,
 )
 from gantry_driver.core.guard.silence import SilenceWatch
-from gantry_driver.core.machine import Machine
-from gantry_driver.core.machine_config import DriverConfig
-from gantry_driver.core.machine_states import Answered, Event, Note, StateChanged
-from gantry_driver.core.trajectory_gcode import Waypoint
+from gantry_driver.core.machine.machine import Machine
+from gantry_driver.core.machine.machine_config import DriverConfig
+from gantry_driver.core.machine.machine_states import Answered, Event, Note, StateChanged
 from icu_common.adapters.real_time import steady_s
-from icu_common.core.results import GoalResult, Outcome
+from icu_common.core.goals.results import GoalResult, Outcome
 
 BEAT_S = 0.02
 """Interval of the signs of life: a fifth of the default silence that stops the machine."""
 ASK_S = 2.0
-"""Seconds to wait for the guard's answer to a question."""
-HUNG_S, LATE_S = 2.0, 10.0
-"""Seconds without a sign of life after which the guard is killed and restarted: if it could run, and if it waits for
-the processor."""
+"""Maximum seconds to wait for the guard's answer to a request."""
+HUNG_S, HUNG_DOWN_S, LATE_S = 2.0, 0.8, 10.0
+"""Seconds of silence after which a guard is killed: if it could run; with the stylus down; if it waits for a core."""
 RETRY_S, LAST_RETRY_S = 0.02, 0.5
 START_S = 5.0
 """Maximum seconds from the start of a guard until it listens."""
@@ -102,7 +101,7 @@ class GuardLink:
         self._thread = threading.Thread(target=self._run, name="guard-link", daemon=True)
         self._say(self._machine.take_events())
 
-    # --- what the node does ------------------------------------------------------------------------------------------
+    # --- interface of the node ---------------------------------------------------------------------------------------
 
     def start(self) -> None:
         """Find or start the guard, which opens the port."""
@@ -227,7 +226,7 @@ class GuardLink:
                 "left_down": self._down,
             }
             rivals = [frame({"do": "rivals", "topic": topic, "text": text}) for topic, text in self._rivals.items()]
-            with contextlib.suppress(BrokenPipeError):  # a guard that refuses has closed already, and said why
+            with contextlib.suppress(BrokenPipeError):  # a guard that rejects has already closed, and sent the reason
                 connection.sendall(frame(hello) + b"".join(rivals))
             self._socket = connection
 
@@ -253,6 +252,7 @@ class GuardLink:
                 for message in reader.feed(data):
                     if (reason := self._on_message(message)) is not None:
                         return reason
+                watch.limit_s = HUNG_DOWN_S if self._down else HUNG_S
             elif watch.look(steady_s(), sample_threads(guard) if watch.wants_sample else None) and not self._closing:
                 with contextlib.suppress(OSError):
                     os.kill(guard, signal.SIGKILL)
@@ -286,7 +286,7 @@ class GuardLink:
                 self._goal = None if event.result.outcome is not Outcome.REJECTED else self._goal
 
     def _lost(self, reason: str) -> None:
-        """Report that there is no guard, and abort the goal under way."""
+        """Report that there is no guard, and abort the goal in progress."""
         events: list[Event] = []
         steps = self._steps
         if goal := self._goal:
@@ -314,8 +314,8 @@ class GuardLink:
         command = [sys.executable, "-m", "gantry_driver.cli.gantry_guard", "--socket", str(path)]
         environment = {**os.environ, "PYTHONPATH": os.pathsep.join(part for part in sys.path if part)}
         with path.with_name(f"{path.name}.log").open("wb") as log:
-            # A session of its own: a terminal's Ctrl-C ends the node, which closes the guard in order. The guard keeps
-            # no pipe of this process open: a reader of the node's output sees its end when the node ends.
+            # A separate session: a terminal's Ctrl-C ends the node, which closes the guard in order. The guard keeps
+            # no pipe of this process open, so a reader of the node's output sees its end when the node ends.
             self._started = subprocess.Popen(
                 command,
                 env=environment,
@@ -325,7 +325,7 @@ class GuardLink:
                 start_new_session=True,
             )
 
-    # --- small parts -------------------------------------------------------------------------------------------------
+    # --- details -----------------------------------------------------------------------------------------------------
 
     def _ask_guard(self, name: str, values: dict[str, Any]) -> Any:
         with self._answered:
@@ -352,7 +352,7 @@ class GuardLink:
                     connection.shutdown(socket.SHUT_RDWR)
 
     def _beat(self) -> None:
-        """Send a sign of life, unless the guard does not read: only what it sends shows whether it hangs."""
+        """Send a sign of life, unless the guard does not read; only the guard's own messages show whether it hangs."""
         data = frame({"do": "beat"})
         if not self._sending.acquire(blocking=False):
             return  # another message is being sent, which is a sign of life as well

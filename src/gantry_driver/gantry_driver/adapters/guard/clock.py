@@ -7,7 +7,7 @@ import os
 from pathlib import Path
 
 from icu_common.adapters.real_time import steady_s
-from icu_common.adapters.step_layout import BYTES_READ, BYTES_WRITTEN, LEDGER_VARIABLE, StepCounts
+from icu_common.adapters.steps.step_layout import BYTES_READ, BYTES_WRITTEN, LEDGER_VARIABLE, StepCounts
 
 
 class GuardClock:
@@ -38,6 +38,11 @@ class GuardClock:
         if self._counts is not None:
             return max(self._told_s, self._counts.time_s)
         return self._told_s + steady_s() - self._since_s
+
+    @property
+    def simulated(self) -> bool:
+        """Whether the node's clock is not the steady one."""
+        return self._told_s is not None
 
     @property
     def wants_turns(self) -> bool:

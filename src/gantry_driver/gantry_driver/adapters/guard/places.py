@@ -18,6 +18,11 @@ def guard_path(port: str) -> Path:
     return guard_folder() / hashlib.sha256(str(name).encode()).hexdigest()[:16]
 
 
+def stylus_path(port: str) -> Path:
+    """Return the path of a port's stylus record if none is configured; it is deleted with the user's session."""
+    return guard_path(port).with_suffix(".stylus")
+
+
 def _is_device(target: Path) -> bool:
     """Return whether a path is a permanent device; a pseudo-terminal gets a new number each time."""
     return Path("/dev") in target.parents and target.parent != Path("/dev/pts")

@@ -11,18 +11,19 @@ from pathlib import Path
 from typing import Any
 
 from gantry_driver.adapters.guard.clock import GuardClock, counts_of_environment
-from gantry_driver.adapters.guard.places import peer_process, sample_threads
+from gantry_driver.adapters.guard.places import guard_path, peer_process, sample_threads, stylus_path
+from gantry_driver.adapters.guard.port_record import PortRecord, device_identity, record_path, write_record
 from gantry_driver.adapters.serial_link import SerialLink
 from gantry_driver.adapters.stylus_record import StylusRecord
 from gantry_driver.core.guard.commands import COMMANDS
 from gantry_driver.core.guard.messages import FrameError, FrameReader, config_of, event_values, frame
 from gantry_driver.core.guard.silence import SilenceWatch
-from gantry_driver.core.machine import Machine
-from gantry_driver.core.machine_config import DriverConfig
-from gantry_driver.core.machine_states import Event, Position, StateChanged
+from gantry_driver.core.machine.machine import Machine
+from gantry_driver.core.machine.machine_config import DriverConfig
+from gantry_driver.core.machine.machine_states import Event, Note, Position, StateChanged
 from icu_common.adapters.direct_stop.line import open_stop_socket, received_stop
 from icu_common.adapters.real_time import steady_s
-from icu_common.core.config import settings_of
+from icu_common.core.configuration.config import settings_of
 
 PULSE_S = 0.1
 """Interval of the guard's own signs of life."""
@@ -61,6 +62,10 @@ class Guard:
         self._machine: Machine | None = None
         self._stops: socket.socket | None = None
         self._stop_path: Path | None = None
+        self._own_record: StylusRecord | None = None
+        """Record in the guard's folder, if no ``stylus_file`` is configured."""
+        self._record_path: Path | None = None
+        self._recorded: PortRecord | None = None
         self._lock = threading.Lock()
         self._unsent = bytearray()
         self._kept: deque[Event] = deque(maxlen=KEPT_EVENTS)
@@ -75,8 +80,15 @@ class Guard:
         self._ends = False
         self._pulse_at = 0.0
 
+    def recover(self, record: PortRecord) -> None:
+        """Open the port that a killed guard has left: hold a moving machine, lift the stylus, make no other motion."""
+        self._clock.begin(0.0 if record.simulated else None)
+        self._clock.leave()
+        self._bind_stops(str(record.stop_path))
+        self._make_link(record.config, enabled=False, active=True, left_by=record)
+
     def run(self) -> None:
-        """Serve until a node or a signal ends the guard, or no node connects for ``STAYS_S``."""
+        """Serve until a node or a signal ends the guard, or no node connects for ``LINGER_S``."""
         try:
             while not self._ends:
                 poller = select.poll()
@@ -153,8 +165,6 @@ class Guard:
                     self._lose(FLOODS)
                     return
                 self._on_message(message)
-                if self._node is not node:
-                    return
         except Exception as error:
             # No message of a node may end the guard.
             self._lose(f"the driver's node sent an unreadable message: {error!r}")
@@ -194,7 +204,8 @@ class Guard:
             link.close("another configuration")
             link = machine = None
         if link is None or machine is None:
-            self._make_link(config, message)
+            enabled, active, left_down = message["enabled"], message["active"], bool(message["left_down"])
+            self._make_link(config, enabled=enabled, active=active, left_down=left_down)
             return
         with self._lock:
             kept, self._kept = list(self._kept), deque(maxlen=KEPT_EVENTS)
@@ -204,11 +215,19 @@ class Guard:
         # Under the machine's lock, so that no older state is sent after it.
         link.call(lambda machine, now: self._send(self._frame_of(kept + _snapshot(machine))))
 
-    def _make_link(self, config: DriverConfig, message: dict[str, Any]) -> None:
-        record = StylusRecord(Path(config.stylus_file).expanduser() if config.stylus_file else None)
-        left_down = record.may_be_down() or bool(message["left_down"])
-        machine = Machine(config, active=message["active"], left_down=left_down)
-        machine.enabled = message["enabled"]
+    def _make_link(
+        self,
+        config: DriverConfig,
+        *,
+        enabled: bool,
+        active: bool,
+        left_down: bool = False,
+        left_by: PortRecord | None = None,
+    ) -> None:
+        record = StylusRecord(Path(config.stylus_file).expanduser() if config.stylus_file else stylus_path(config.port))
+        self._own_record = None if config.stylus_file else record
+        machine = Machine(config, active=active, left_down=left_down or record.may_be_down())
+        machine.enabled, machine.left_moving = enabled, left_by is not None
         self._steps_counted = 0
         link = SerialLink(
             machine,
@@ -218,9 +237,31 @@ class Guard:
             clock=self._clock,
             on_turn=self._on_turn,
             record=record,
+            hangs_up=None if left_by is None else left_by.hangs_up,
         )
         self._machine, self._link = machine, link
+        self._record_path, self._recorded = record_path(guard_path(config.port)), None
         link.start()
+
+    def _keep_record(self) -> None:
+        """Write the record for the next guard whenever the device or the configuration has changed."""
+        link, machine, path, stop_path = self._link, self._machine, self._record_path, self._stop_path
+        if link is None or machine is None or path is None or stop_path is None or link.opened is None:
+            return
+        record = PortRecord(
+            config=machine.config,
+            device=device_identity(link.opened),
+            stop_path=stop_path,
+            simulated=self._clock.simulated,
+            hangs_up=bool(link.hangs_up),
+        )
+        if record == self._recorded:
+            return
+        self._recorded = record
+        try:
+            write_record(path, record)
+        except OSError as error:
+            self._on_events([Note(level="error", text=f"the record of the open port cannot be written: {error}")])
 
     def _bind_stops(self, path: str) -> None:
         if self._stops is not None and self._stop_path == Path(path):
@@ -234,8 +275,8 @@ class Guard:
         """Disconnect the node; stop the machine if it moves or presses."""
         with self._lock:
             node, self._node = self._node, None
-            if node is not None:
-                node.close()
+            assert node is not None
+            node.close()
             self._unsent.clear()
         self._clock.leave()
         self._alone_since = steady_s()
@@ -249,6 +290,7 @@ class Guard:
         now = steady_s()
         if self._link is not None and not self._link.alive:
             self._ends = True  # the node then starts a new guard, which lifts first
+        self._keep_record()
         if self._clock.wants_turns and self._link is not None:
             self._link.wake()
             self._steps_counted = self._link.wakes  # no node waits for these
@@ -310,7 +352,12 @@ class Guard:
     def _close(self, reason: str) -> None:
         link, self._link, self._machine = self._link, None, None
         if link is not None:
+            in_order = link.alive
             link.close(reason)
+            if in_order and self._record_path is not None:
+                self._record_path.unlink(missing_ok=True)
+        if self._own_record is not None:
+            self._own_record.remove_if_up()
         if self._stops is not None and self._stop_path is not None:
             self._stops.close()
             self._stops = None
@@ -334,5 +381,5 @@ def _snapshot(machine: Machine) -> list[Event]:
     """Return the events that report the machine's state to a new node."""
     events: list[Event] = [StateChanged(text=machine.state_text)]
     if machine.reading_m is not None:
-        events.append(Position(reading_m=machine.reading_m))
+        events.append(Position(reading_m=machine.reading_m, probe=machine.probe))
     return events

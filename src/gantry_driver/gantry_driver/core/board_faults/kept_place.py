@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from gantry_driver.core.grbl_messages import Report
+from gantry_driver.core.grbl.grbl_messages import Report
 
 SAME_MM = 0.01
 """Maximum difference between two reports of a board at rest; a motor step is smaller."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from gantry_driver.core.grbl_messages import Dialect
+from gantry_driver.core.grbl.grbl_messages import Dialect
 
 REPORT_MASK = 10
 MACHINE_POSITION, WORK_OFFSET = 1, 32
@@ -19,7 +19,7 @@ QUOTED_BYTES = 80
 
 
 def position_mask(settings: Mapping[int, str], dialect: Dialect) -> dict[int, float]:
-    """Return ``$10`` as it must be; empty where the reports have a machine position or an offset already."""
+    """Return the required ``$10``; empty if the reports already have a machine position or an offset."""
     value = settings.get(REPORT_MASK, "").partition(".")[0]
     if dialect is not Dialect.GRBLHAL or not value.isdecimal() or int(value) & (MACHINE_POSITION | WORK_OFFSET):
         return {}

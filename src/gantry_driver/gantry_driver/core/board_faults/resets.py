@@ -1,24 +1,30 @@
-"""Log lines for a board that resets itself: the first reset at once, the others that follow it closely as a count."""
+"""Log lines for a board that resets itself: one for a row of resets that follow each other closely."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
-from gantry_driver.core.machine_states import Note
+from gantry_driver.core.machine.machine_states import Note
 
 RESETS_APART_S = 5.0
-"""Seconds without a reset after which the count is logged, and the next reset gets a line of its own."""
+"""Seconds without a reset that end a row; the next reset gets a line of its own."""
 
 
 @dataclass(slots=True)
 class ResetLog:
-    """Resets since the first of a row; times are seconds of the machine's clock."""
+    """Resets since the first of a row; times are seconds of the machine's clock.
+
+    The first reset is logged at once. The diagnostics count the later ones of the row (``resets``). These get a second
+    line only if lines of a program or goal were lost with them.
+    """
 
     first_at: float = 0.0
     last_at: float = 0.0
     more: int = 0
     lost: int = 0
     in_a_row: bool = False
+    states: set[str] = field(default_factory=set)
+    """States reported in this row."""
 
     def reset(self, reason: str, lost: int, now: float) -> list[Note]:
         """Return what to log of a reset with ``lost`` lines unanswered."""
@@ -27,14 +33,23 @@ class ResetLog:
             return []
         self.first_at = self.last_at = now
         self.more, self.lost, self.in_a_row = 0, 0, True
+        self.states.clear()
         return [Note(level="error", text=f"{reason}; {lost} lines unanswered")]
 
+    def repeats(self, state: str) -> bool:
+        """Note a state that is reported; return whether the row has had it before."""
+        if not self.in_a_row:
+            return False
+        before = len(self.states)
+        self.states.add(state)
+        return len(self.states) == before
+
     def tick(self, now: float) -> list[Note]:
-        """Return the line with the count once the row is over."""
+        """Return the line with the count of lost lines, if any, once the row is over."""
         if not self.in_a_row or now - self.last_at < RESETS_APART_S:
             return []
         self.in_a_row = False
-        if not self.more:
+        if not self.lost:
             return []
         within_s = self.last_at - self.first_at
         text = f"the board was reset by itself {self.more} more times within {within_s:.1f} s"

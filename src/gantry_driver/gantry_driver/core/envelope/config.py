@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from icu_common.core.config import Config, setting
+from icu_common.core.configuration.config import Config, setting
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -13,7 +13,7 @@ class EnvelopeConfig(Config):
 
     free_space_m: float = setting(
         0.016,
-        "Extension that is allowed without a known panel: the deepest height of the hand-eye calibration, which runs "
+        "Maximum extension without a known panel: the deepest height of the hand-eye calibration, which runs "
         "before the panel is known",
         minimum=0.0,
         maximum=0.2,
@@ -22,7 +22,7 @@ class EnvelopeConfig(Config):
     )
     crossing_m: float = setting(
         0.005,
-        "Extension with which the stylus may cross the panel: above the highest control",
+        "Maximum extension at which the stylus may cross the panel: above the highest control",
         minimum=0.0,
         maximum=0.2,
         unit="m",
@@ -30,8 +30,8 @@ class EnvelopeConfig(Config):
     )
     side_height_m: float = setting(
         0.005,
-        "Height above the panel's face below which only a drag or a turn moves sideways; less than the controller's "
-        "hover_m",
+        "Height above the panel's face below which only a drag or a turn may move sideways; less than the "
+        "controller's hover_m",
         minimum=0.001,
         maximum=0.05,
         unit="m",
@@ -39,8 +39,8 @@ class EnvelopeConfig(Config):
     )
     correction_m: float = setting(
         0.007,
-        "Largest sideways motion of a farther extended stylus without a drag or a turn: the controller's "
-        "max_correction_m and 1.5 times its approach_m together",
+        "Maximum sideways motion of a stylus extended beyond crossing_m, except in a drag or a turn: at least the "
+        "sum of the controller's max_correction_m and 1.5 times its approach_m",
         minimum=0.0,
         maximum=0.05,
         unit="m",
@@ -48,7 +48,7 @@ class EnvelopeConfig(Config):
     )
     max_sigma_m: float = setting(
         0.0005,
-        "Largest standard deviation of a plane that counts as known; a path may go three of them deeper",
+        "Maximum standard deviation at which a plane counts as known; a path may go three standard deviations deeper",
         minimum=1e-5,
         maximum=0.001,
         unit="m",
@@ -56,7 +56,7 @@ class EnvelopeConfig(Config):
     )
     max_age_s: float = setting(
         60.0,
-        "Age from which on the plane counts as unknown",
+        "Maximum age of a plane that counts as known",
         minimum=1.0,
         maximum=600.0,
         unit="s",

@@ -6,8 +6,9 @@ from collections import deque
 
 import numpy as np
 
+from gantry_driver.core.contact.heights import HeightEstimate
 from gantry_driver.core.envelope.plane import PanelPlane
-from icu_common.core.geometry import Array, Transform
+from icu_common.core.geometry.geometry import Array, Transform
 
 LEAST_POSES, MOST_POSES = 2, 10
 WINDOW_S = 8.0
@@ -49,18 +50,18 @@ class PlaneEstimate:
         Parameters
         ----------
         base_from_reading
-            (2, 2) the machine's axes.
+            (2, 2) axes of the machine.
         middle
-            (2,) the middle of the face in panel_link, m, where its depth is known best.
+            (2,) middle of the face in panel_link, m, where its depth is known best.
         ball_radius_m
-            The stylus touches by its ball's lowest point.
+            Radius of the ball, whose lowest point touches.
         calibration_sigma_m
             Standard deviation of the hand-eye calibration.
 
         Raises
         ------
         ValueError
-            If the poses are no panel's.
+            If no panel can have the poses.
         """
         if len(self._poses) < LEAST_POSES:
             return None
@@ -77,9 +78,20 @@ class PlaneEstimate:
         )
 
 
+def plane_below(plane: PanelPlane, stylus: HeightEstimate) -> PanelPlane:
+    """Return the plane for a stylus that, according to looks, must extend farther than its readings."""
+    if not stylus.measured:
+        return plane
+    x, y, extension = plane.at_m
+    first, *rest = plane.covariance
+    return PanelPlane(
+        at_m=(x, y, extension + stylus.value_m), slope=plane.slope, covariance=(first + stylus.sigma_m**2, *rest)
+    )
+
+
 def _face(base_from_panel: Transform, centre: Array, base_from_reading: Array) -> Array:
-    """Return (3,) how far below z = 0 the face is at a place (2,) of base_link, and its slopes along the axes."""
+    """Return (3,): the depth of the face below z = 0 at a point (2,) of base_link, and its slopes along the axes."""
     normal, origin = base_from_panel.rotation[:, 2], base_from_panel.translation
-    slope = normal[:2] / normal[2]  # of the depth, which grows where z falls
+    slope = normal[:2] / normal[2]  # of the depth, which increases as z decreases
     depth = -origin[2] + slope @ (centre - origin[:2])
     return np.array([depth, *(base_from_reading.T @ slope)])

@@ -6,12 +6,12 @@ import math
 
 from gantry_driver.core.envelope.plane import PanelPlane
 from gantry_driver.core.envelope.rules import SIGMAS, Breach, EnvelopeFault, Reading, breach_of
-from gantry_driver.core.machine_config import DriverConfig
-from gantry_driver.core.trajectory_gcode import Motion, Move, reading_m
-from icu_common.core.intent import Intent
+from gantry_driver.core.grbl.trajectory_gcode import Motion, Move, reading_m
+from gantry_driver.core.machine.machine_config import DriverConfig
+from icu_common.core.goals.intent import Intent
 
 JUMP_M = 0.002
-"""Change of the plane within the travel that is reported."""
+"""Change of the plane within the travel, in metres, above which it is reported."""
 
 
 class Envelope:
@@ -22,7 +22,7 @@ class Envelope:
         self._seen_at = -math.inf
 
     def take(self, plane: PanelPlane, seen_at: float, config: DriverConfig) -> str:
-        """Take the plane and the time of its image; return a warning for people, empty for none."""
+        """Take the plane and the time of its image; return a warning for people, empty if there is none."""
         before, self._plane, self._seen_at = self._plane, plane, seen_at
         at_x, at_y, _ = plane.at_m
         sigma, limit = plane.sigma_m(at_x, at_y), config.envelope.max_sigma_m
@@ -47,7 +47,7 @@ class Envelope:
         return f"the panel's plane has moved by up to {1000.0 * moved:.1f} mm within the travel"
 
     def breach(self, motion: Motion, start: Reading, intent: Intent, config: DriverConfig, now: float) -> Breach | None:
-        """Return the first place where a motion leaves its allowed space, None if it stays inside."""
+        """Return the first point where a motion leaves its allowed space, None if it stays inside."""
         age_s, limit_s = now - self._seen_at, config.envelope.max_age_s
         known = self._plane if age_s <= limit_s else None
         found = breach_of(path_of(motion, start, config), known, intent, config)

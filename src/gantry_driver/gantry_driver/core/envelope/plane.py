@@ -1,4 +1,4 @@
-"""The panel's face as the guard knows it: a plane in readings, with its covariance."""
+"""The guard's model of the panel's face: a plane in readings, with its covariance."""
 
 from __future__ import annotations
 
@@ -8,28 +8,28 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 MAX_SLOPE = 0.3
-"""Largest slope of a plane that is believed: 17 degrees; the controller touches up to 10 (``max_tilt_deg``)."""
+"""Maximum slope of a valid plane: 17 degrees; the controller touches up to 10 (``max_tilt_deg``)."""
 FARTHEST_M = 1.0
-"""Farthest place on a plane that is believed."""
+"""Maximum coordinate of a point on a valid plane, in metres."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PanelPlane:
-    """The extension at which the ball touches the face, for each place in x and y.
+    """The extension at which the ball touches the face, for each position in x and y.
 
     Parameters
     ----------
     at_m
-        Readings (x, y, extension) at one place of the plane.
+        Readings (x, y, extension) at one point of the plane.
     slope
         Change of the extension along x and along y.
     covariance
-        Of the extension at that place and of both slopes: 9 values, row by row.
+        Covariance of the extension at that point and of both slopes: 9 values, row by row.
 
     Raises
     ------
     ValueError
-        If a value is not finite, too large for any panel, or no variance.
+        If a value is not finite, too large for any panel, or not a valid variance.
     """
 
     at_m: tuple[float, float, float]
@@ -61,7 +61,7 @@ class PanelPlane:
         return math.sqrt(max(variance, 0.0))
 
     def values(self) -> dict[str, Any]:
-        """Return it as JSON values."""
+        """Return the plane as JSON values."""
         return asdict(self)
 
 

@@ -9,34 +9,34 @@ from dataclasses import dataclass
 from enum import Enum
 
 from gantry_driver.core.envelope.plane import PanelPlane
-from gantry_driver.core.machine_config import DriverConfig
-from icu_common.core.intent import Intent
+from gantry_driver.core.machine.machine_config import DriverConfig
+from icu_common.core.goals.intent import Intent
 
 Reading = tuple[float, float, float]
 
 SIGMAS = 3.0
-"""Standard deviations of the plane by which a path may go deeper."""
+"""Number of standard deviations of the plane by which a path may go deeper."""
 STRAIGHT_M = 0.0002
-"""Sideways motion that is rounding and not intent: the controller's tolerance of an arrival."""
+"""Maximum sideways motion that counts as rounding: the controller's tolerance of an arrival."""
 ROUNDING_M = 5e-5
-"""Depth that is rounding: a motor step, the third decimal of a line, and the plane's own."""
+"""Maximum depth that counts as rounding: a motor step, the third decimal of a line, and the rounding of the plane."""
 SIDEWAYS = (Intent.TURN, Intent.DRAG)
 """Intents that move sideways in contact."""
 
 
 class EnvelopeFault(str, Enum):
-    """Machine-readable cause in ``GoalResult.code`` of a trajectory that was rejected for where it goes."""
+    """Machine-readable cause in ``GoalResult.code`` of a trajectory that leaves the allowed space."""
 
     NO_PANEL = "no_panel"
     """It leaves the free space while the panel's plane is unknown, or not known well enough."""
     OLD_PANEL = "old_panel"
-    """The same, and the plane that was known is too old."""
+    """It leaves the free space, and the last known plane is too old."""
     TOO_DEEP = "too_deep"
-    """It goes beyond the panel by more than its intent allows."""
+    """It goes farther beyond the panel than its intent allows."""
     TOO_LOW = "too_low"
-    """It moves sideways close to the panel and is no drag or turn."""
+    """It moves sideways close to the panel, and is not a drag or a turn."""
     SIDEWAYS = "sideways"
-    """It moves farther sideways with the stylus extended than a correction does, and is no drag or turn."""
+    """It moves farther sideways with an extended stylus than a correction may, and is not a drag or a turn."""
 
     def __str__(self) -> str:
         return self.value
@@ -53,7 +53,7 @@ _TEXTS = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Breach:
-    """Place where a path leaves its allowed space; values in metres, or in seconds for a plane that is too old."""
+    """Point where a path leaves its allowed space; values in metres, or in seconds for a plane that is too old."""
 
     code: EnvelopeFault
     measured: float
@@ -73,10 +73,10 @@ class Breach:
 
 
 def depth_limit_m(plane: PanelPlane, x: float, y: float, intent: Intent, config: DriverConfig) -> float:
-    """Return how far beyond the face a path may go at a place, in metres.
+    """Return the maximum depth of a path beyond the face at a point, in metres.
 
-    The travel of the intent, what the plane may be wrong by, and what the plane rises over the correction of an aim:
-    readings are corrected by what the cameras see, so that the ball touches a little off the reading's place.
+    It is the sum of the intent's travel, the plane's uncertainty, and the rise of the plane over the correction of an
+    aim: readings are corrected by the seen error, so the ball touches slightly off the reading's position.
     """
     travel = 0.0 if intent is Intent.MOVE else config.overtravel_m
     unsure = SIGMAS * min(plane.sigma_m(x, y), config.envelope.max_sigma_m)
@@ -94,7 +94,7 @@ def breach_of(path: Sequence[Reading], plane: PanelPlane | None, intent: Intent,
     path
         Readings in m, beginning with the current one.
     plane
-        None while it is unknown.
+        Plane of the panel, None while it is unknown.
     """
     anchor: Reading | None = None
     for begin, end in itertools.pairwise(path):
@@ -130,7 +130,7 @@ def _far(end: Reading, aside: float, plane: PanelPlane | None, intent: Intent, c
 
 def _deep(begin: Reading, end: Reading, plane: PanelPlane, intent: Intent, config: DriverConfig) -> Breach | None:
     if config.stylus.kind != "z_axis":
-        return None  # it knows one extension, and its own spring bounds what that presses
+        return None  # it has only one extension, and its own spring limits the force
     for place in (begin, end):
         beyond, limit = place[2] - plane.contact_m(*place[:2]), depth_limit_m(plane, *place[:2], intent, config)
         if beyond > limit:

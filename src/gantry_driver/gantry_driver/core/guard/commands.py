@@ -7,8 +7,8 @@ from typing import Any
 
 from gantry_driver.core.envelope.plane import plane_of
 from gantry_driver.core.guard.messages import config_of, waypoints_of
-from gantry_driver.core.machine import Machine
-from icu_common.core.intent import Intent
+from gantry_driver.core.machine.machine import Machine
+from icu_common.core.goals.intent import Intent
 
 Values = Mapping[str, Any]
 

@@ -12,10 +12,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, fields, is_dataclass
 from typing import Any, get_type_hints
 
-from gantry_driver.core.machine_config import DriverConfig
-from gantry_driver.core.machine_states import Answered, CloseRequested, Event, Note, Position, StateChanged
-from gantry_driver.core.trajectory_gcode import Waypoint
-from icu_common.core.results import GoalResult, Outcome
+from gantry_driver.core.grbl.trajectory_gcode import Waypoint
+from gantry_driver.core.machine.machine_config import DriverConfig
+from gantry_driver.core.machine.machine_states import Answered, CloseRequested, Event, Note, Position, StateChanged
+from icu_common.core.goals.results import GoalResult, Outcome
 
 MAX_FRAME_BYTES = 4 * 1024 * 1024
 """Maximum size of a frame in bytes: twice that of 10,000 points, the largest trajectory that ``max_points`` allows."""
@@ -90,7 +90,7 @@ def event_of(values: Sequence[Any]) -> Event:
         return Answered(result=GoalResult(outcome=outcome, details=details, **content))
     if name == Position.__name__:
         x, y, z = content["reading_m"]
-        return Position(reading_m=(x, y, z))
+        return Position(reading_m=(x, y, z), probe=content["probe"])
     return _EVENTS[name](**content)
 
 

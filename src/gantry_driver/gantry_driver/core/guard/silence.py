@@ -37,7 +37,7 @@ class SilenceWatch:
     Parameters
     ----------
     limit_s
-        Maximum silence without an excuse, s.
+        Maximum silence without an excuse, s; it may change.
     now
         Wall time, s.
     late_s
@@ -45,7 +45,7 @@ class SilenceWatch:
     """
 
     def __init__(self, limit_s: float, now: float, late_s: float = LATE_S) -> None:
-        self._limit_s, self._late_s = limit_s, max(limit_s, late_s)
+        self.limit_s, self._late_s = limit_s, max(limit_s, late_s)
         self._looked_at = now
         self._silent_s = self._excused_s = 0.0
         self._threads: dict[int, ThreadSample] = {}
@@ -82,4 +82,4 @@ class SilenceWatch:
             known = [(thread, self._threads[n]) for n, thread in threads.items() if n in self._threads]
             self._excused_s += max((thread.waited_s(before, passed) for thread, before in known), default=0.0)
             self._threads = threads
-        return self._silent_s - self._excused_s > self._limit_s or self._silent_s > self._late_s
+        return self._silent_s - self._excused_s > self.limit_s or self._silent_s > self._late_s

@@ -1,4 +1,4 @@
-"""Arcs of G2 and G3: their length, how far they reach, and chords for the comparison with reports."""
+"""Arcs of G2 and G3: their length, their extent, and chords for the comparison with reports."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 CHORD_MM = 0.02
-"""Largest distance of a chord from its arc: a small part of the tube around a path."""
+"""Maximum distance of a chord from its arc in mm: a small fraction of the tube around a path."""
 _NO_TURN = 5e-7
-"""Radians of an arc up to which GRBL goes once more around."""
+"""Angle of an arc in radians up to which GRBL adds a whole turn."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -40,12 +40,12 @@ class Arc:
 
     @property
     def begin(self) -> float:
-        """The angle at the start, in radians."""
+        """Angle at the start, in radians."""
         return self._angle(self.start)
 
     @property
     def sweep(self) -> float:
-        """The angle from start to end in radians, negative clockwise; a whole turn where both are one place."""
+        """Angle from start to end in radians, negative clockwise; a whole turn if start and end are the same point."""
         turn = self._angle(self.end) - self.begin
         turn = -turn % math.tau if self.clockwise else turn % math.tau
         turn += math.tau if turn <= _NO_TURN else 0.0
@@ -57,7 +57,7 @@ class Arc:
         return math.hypot(self.radius * self.sweep, self.end[normal] - self.start[normal])
 
     def extremes(self) -> list[Sequence[float]]:
-        """Return the end, and the points where the arc reaches furthest along its plane's axes."""
+        """Return the end, and the extreme points of the arc along its plane's axes."""
         begin, sweep, found = self.begin, self.sweep, [self.end]
         for quarter in range(-8, 9):
             angle = quarter * math.pi / 2

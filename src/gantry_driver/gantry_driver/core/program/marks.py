@@ -1,15 +1,15 @@
-"""Where on a program's path each of its lines ends."""
+"""Distances along a program's path at which its lines end."""
 
 from __future__ import annotations
 
 from bisect import bisect_right
 
 BLOCK_MM = 0.05
-"""Length from which a move surely makes a block: one that is shorter than half a motor step makes none."""
+"""Length in mm from which a move surely makes a block; a move shorter than half a motor step makes none."""
 
 
 class LineMarks:
-    """Line numbers in their order, with the distance along the path at the end of each."""
+    """Line numbers in order, with the distance along the path at the end of each line."""
 
     def __init__(self) -> None:
         self._numbers: list[int] = []
@@ -19,14 +19,14 @@ class LineMarks:
         self._executed_mm = 0.0
 
     def append(self, number: int, along_mm: float) -> None:
-        """Note the line that was queued last."""
+        """Note the last queued line."""
         if along_mm - (self._along_mm[-1] if self._along_mm else 0.0) > BLOCK_MM:
             self._movers.append(len(self._numbers))
         self._numbers.append(number)
         self._along_mm.append(along_mm)
 
     def along_mm(self, number: int) -> float:
-        """Return how far the path goes with the lines up to a number.
+        """Return the distance along the path after the lines up to a number.
 
         Examples
         --------
@@ -39,14 +39,14 @@ class LineMarks:
         return self._along_mm[index - 1] if index else 0.0
 
     def executed_mm(self, acknowledged: int, waiting: int) -> float:
-        """Return the distance that the board has surely executed by this report and by the one before.
+        """Return the distance that the board has surely executed, from this report and the previous one.
 
         Parameters
         ----------
         acknowledged
             Number of the last line that the board has acknowledged.
         waiting
-            Largest number of blocks in its planner, -1 for unknown.
+            Maximum number of blocks in its planner, -1 if unknown.
         """
         before = self._executed_mm
         movers = bisect_right(self._movers, bisect_right(self._numbers, acknowledged) - 1) - waiting

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
-from gantry_driver.core.controller_config import ControllerConfig
-from gantry_driver.core.goal_job import Obstacle
-from gantry_driver.core.patience import patient_limit_s, since
+from gantry_driver.core.goals.controller_config import ControllerConfig
+from gantry_driver.core.goals.goal_job import Obstacle
+from gantry_driver.core.goals.patience import patient_limit_s, since
 
 if TYPE_CHECKING:
-    from gantry_driver.core.world import World
+    from gantry_driver.core.goals.world import World
 
 
 def panel_obstacles(world: World, config: ControllerConfig) -> Iterator[Obstacle]:

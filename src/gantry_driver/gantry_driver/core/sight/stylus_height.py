@@ -42,7 +42,7 @@ class StylusHeight:
             self.seen.popleft()
 
     def at_least_m(self, now_ns: int) -> float | None:
-        """Return the smallest height that enough images agree on, None if they do not."""
+        """Return the minimum height on which enough images agree, None if they do not agree."""
         young = [(stamp, height) for stamp, height in self.seen if now_ns - stamp <= OLDEST_NS]
         if len(young) < NEEDED or young[-1][0] - young[0][0] < SPAN_NS:
             return None

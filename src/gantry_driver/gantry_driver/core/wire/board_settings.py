@@ -2,35 +2,36 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Mapping
 
 from gantry_driver.core.board_faults.reports import position_mask
-from gantry_driver.core.connection import Connection
-from gantry_driver.core.grbl_messages import Dialect
-from gantry_driver.core.machine_states import Note, Phase
-from gantry_driver.core.settings_profile import differences, lines_to_write
+from gantry_driver.core.grbl.connection import Connection
+from gantry_driver.core.grbl.grbl_messages import Dialect
+from gantry_driver.core.grbl.settings_profile import differences, lines_to_write
+from gantry_driver.core.machine.machine_states import Note, Phase
 
 READING_SETTINGS = (3, 23, 27, 100, 101, 102, 130, 131, 132)
-"""Directions, homing corner, pull-off, steps and travel: with others a calibration of the readings is void."""
+"""Directions, homing corner, pull-off, steps and travel: a change makes a calibration of the readings invalid."""
 
 IDLE_DELAY, STAYS_ON = 1, "255"
-"""Milliseconds after a motion at which the motors let go, and what stands for never."""
+"""Setting of the delay in milliseconds after which idle motors are released, and its value for never."""
 READ_SETTINGS = "$$"
 _MACROS = ("$/macros/startup_line0", "$/macros/startup_line1", "$/macros/after_reset")
 READ_STARTUP = {"$N": ("$N0", "$N1"), **{name: (name,) for name in _MACROS}}
-"""What asks for the lines that a board runs by itself, and the names in the answer; FluidNC calls them macros."""
+"""Queries for the lines that a board runs after a reset, and the names in the answers; FluidNC calls them macros."""
 STARTUP_TRIES = 5
 KEPT_TO_ITSELF = {Dialect.FLUIDNC: frozenset({13, 23, 27})}
-"""Units, corner and pull-off, which not every version of a firmware tells: where the machine has homed tells them."""
+"""Settings that not every version of a firmware reports (units, corner and pull-off): the homed position shows them."""
 
 
 class BoardSettings(Connection):
-    """One board whose settings are compared with what they must be."""
+    """One board whose settings are compared with the required ones."""
 
     def settings_text(self) -> str:
-        """Return the board's settings that readings depend on, ``$100=80 ...``; empty until they are known."""
+        """Return the board's settings on which readings depend, ``$100=80 ...``; empty until they are known."""
         if READING_SETTINGS[-1] not in self._settings:
-            return ""  # boards list them in rising order: the rest is still to come
+            return ""  # boards list settings in ascending order: the remaining ones have not arrived
         known = [number for number in READING_SETTINGS if self._settings.get(number)]
         return " ".join(f"${number}={self._settings[number].split()[0]}" for number in known)
 
@@ -40,13 +41,13 @@ class BoardSettings(Connection):
         return dict(self._settings)
 
     def expected_settings(self) -> dict[int, float]:
-        """Return what the board's settings must be, without those that its firmware does not tell."""
+        """Return the required settings of the board, without those that its firmware does not report."""
         kept = KEPT_TO_ITSELF.get(self.dialect, frozenset()) - self._settings.keys()
         expected = {n: value for n, value in self.config.expected_settings().items() if n not in kept}
         return expected | position_mask(self._settings, self.dialect)
 
     def accept_settings(self, now: float) -> str:
-        """Accept that the board's settings differ from the configuration; holds for these differences only."""
+        """Accept the present differences between the board's settings and the configuration, and no others."""
         if self.phase is not Phase.MISMATCH or not self._settings or self._misplaced:
             return f"nothing to accept: the driver is {self.state_text}"
         self._accepted_mismatch = self._mismatch
@@ -54,9 +55,9 @@ class BoardSettings(Connection):
         return ""
 
     def write_settings(self, now: float, profile: Mapping[int, float] | None = None) -> str:
-        """Write the configured machine's settings to the board, or those of a profile, and read all of them back.
+        """Write the configured settings, or those of a profile, to the board, and read all settings back.
 
-        Only those that differ are written. The machine is unhomed after it: steps or travel may be others.
+        Only settings that differ are written. The machine is unhomed afterwards: steps or travel may have changed.
         """
         if self.phase not in (Phase.MISMATCH, Phase.UNHOMED, Phase.IDLE) or self._rests_extended():
             return f"settings are written to a board at rest with the stylus up, the driver is {self.state_text}"
@@ -83,7 +84,7 @@ class BoardSettings(Connection):
         return [name for name in names if name not in self._startup]
 
     def _read_startup(self, now: float) -> None:
-        """Ask for what is still missing of the lines that the board runs by itself; noise may have spoilt an answer."""
+        """Request the missing lines that the board runs after a reset; noise may have damaged an answer."""
         missing = self._startup_missing()
         if not missing or self._startup_tries == STARTUP_TRIES:
             self._check_settings(now)
@@ -94,7 +95,7 @@ class BoardSettings(Connection):
                 self._marker = self.session.queue(question).number
 
     def _startup_lines(self) -> list[str]:
-        """Return a sentence for what the board runs by itself after a reset, with which a stop ends."""
+        """Return a sentence for each line that the board runs after a reset, and so after a stop."""
         found = []
         for name, text in sorted(self._startup.items()):
             if text and name in _MACROS:
@@ -112,9 +113,9 @@ class BoardSettings(Connection):
             )
         return found
 
+    @abstractmethod
     def _lift_left(self, now: float) -> bool:
         """Start to lift a stylus that was left down; return whether the board's settings allow it."""
-        return False
 
     def _check_settings(self, now: float) -> None:
         if not self._settings:
@@ -123,7 +124,7 @@ class BoardSettings(Connection):
         wrong = differences(self._settings, self.expected_settings())
         kept, self._kept = self._kept, {}
         changed = (n for n in kept if n in self._settings and self._settings[n] != kept[n])
-        # A damaged line has written another setting than the one that was meant.
+        # A damaged line may have written a setting other than the intended one.
         wrong += [f"${n} became {self._settings[n]}, it was {kept[n]}: write it back" for n in changed]
         self._mismatch = "; ".join([*wrong, *self._startup_lines()])
         if (idle := self._settings.get(IDLE_DELAY)) is not None and idle.partition(".")[0] != STAYS_ON:
@@ -135,7 +136,7 @@ class BoardSettings(Connection):
         if not self._blocked() and self._lift_left(now):
             return
         if self._latched:
-            # Neither a lost link nor a reset of the board lifts a stop.
+            # Neither a lost link nor a reset of the board clears a stop.
             self._enter(Phase.STOPPED, now, self._latched)
         elif self._blocked():
             self._enter(Phase.MISMATCH, now, self._mismatch)

@@ -1,15 +1,15 @@
-"""Sizes of the board's buffers, learnt from what its reports (``Bf:``) say is free; no I/O and no clock."""
+"""Sizes of the board's buffers, learnt from the free space in its reports (``Bf:``); no I/O and no clock."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from gantry_driver.core.grbl_messages import Report
+from gantry_driver.core.grbl.grbl_messages import Report
 
 
 @dataclass(slots=True)
 class Buffer:
-    """One buffer: its size and what was free in the report before; -1 for unknown."""
+    """One buffer: its size, and the free space in the previous report; -1 if unknown."""
 
     size: int = -1
     free_before: int = -1
@@ -17,8 +17,8 @@ class Buffer:
     def note(self, free: int, *, empty: bool) -> None:
         """Take the next report.
 
-        The largest free size since the banner is the size. One larger report may be damaged, so the second one counts,
-        and two equal ones of an empty buffer count whatever was believed before.
+        The largest free space since the banner is the size. A single larger report may be damaged, so the second one
+        counts. Two equal reports of an empty buffer replace any earlier size.
         """
         if free >= 0:
             if self.size < 0 or (empty and free == self.free_before):
@@ -28,7 +28,7 @@ class Buffer:
         self.free_before = free
 
     def held(self, free: int) -> int:
-        """Return how much of it is used where ``free`` is free, at least 0."""
+        """Return the used space when ``free`` is free, at least 0."""
         return max(self.size - free, 0)
 
 
@@ -41,7 +41,7 @@ class BoardBuffers:
 
     @property
     def reported(self) -> bool:
-        """Whether reports have said how full they are (``Bf:``)."""
+        """Whether reports have shown how full the buffers are (``Bf:``)."""
         return self.rx.size >= 0
 
     def note(self, report: Report, *, in_flight: bool) -> None:

@@ -1,4 +1,4 @@
-"""The height at which a path stops before it touches, and whether a damaged approach ends above the panel."""
+"""Height at which a path stops before it touches, so that a damaged approach ends above the panel."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ LOOK_AHEAD_S = 0.05
 
 
 def stopping_way_mm(rate_mm_min: float, acceleration_mm_s2: float, travel_mm: float, reports_hz: float) -> float:
-    """Return how far below its planned end a damaged approach goes before it stands.
+    """Return how far below its planned end a damaged approach goes before it stops.
 
-    A damaged line may run at the axis's highest rate, and no faster than the travel allows to accelerate to. It leaves
-    the tube, the next report comes, the hold goes out, and the axis slows down:
+    A damaged line may run at the axis's maximum rate, but not faster than the axis can accelerate within the travel.
+    The axis leaves the tube, the next report arrives, the driver sends the hold, and the axis slows down:
     ``tube + v * (1 / reports + way of the report + look-ahead) + v^2 / (2 * acceleration)``.
 
     Examples

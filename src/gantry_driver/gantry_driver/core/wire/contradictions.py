@@ -4,33 +4,33 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from gantry_driver.core.grbl_messages import Report
+from gantry_driver.core.grbl.grbl_messages import Report
 from gantry_driver.core.wire.buffers import BoardBuffers
 from gantry_driver.core.wire.lines import SYNCHRONISE, Line, answers_missing
 
 MISSING_REPORTS = SURPLUS_REPORTS = 2
-"""Reports in a row that must show an answer too few, or too many: one report may be damaged."""
+"""Number of successive reports that must show a missing, or a surplus, answer: one report may be damaged."""
 LOST_LINE = "the board has taken lines that it has not answered: a line or its answer was lost on the wire"
 OUT_OF_TURN = "the board answered $G out of turn: a line or an answer was lost or doubled on the wire"
 
 
 class Contradictions:
-    """Compares each report with the lines under way."""
+    """Compares each report with the unanswered lines."""
 
     def __init__(self) -> None:
         self._surplus_reports = 0
-        """Reports in a row by which the board holds more bytes than are under way."""
+        """Number of successive reports in which the board holds more bytes than were sent and not answered."""
         self._short_reports = 0
-        """Reports in a row of a board that has taken lines which it has not answered."""
+        """Number of successive reports of a board that has accepted lines without an answer."""
         self._unanswered_since: float | None = None
 
     def clear(self) -> None:
-        """Begin again with another board, or one that was reset."""
+        """Start again with another board, or after a reset."""
         self._surplus_reports = self._short_reports = 0
         self.answered()
 
     def answered(self) -> None:
-        """Note an answer, or a time without reports: the board may have been busy."""
+        """Note an answer, or an interval without reports, in which the board may have been busy."""
         self._unanswered_since = None
 
     def find(
@@ -41,14 +41,14 @@ class Contradictions:
         in_flight_bytes: int,
         now: float,
     ) -> str:
-        """Return what is wrong, empty for nothing.
+        """Return the contradiction, empty if there is none.
 
         Parameters
         ----------
         buffers
-            What is known of the board's buffers, this report included.
+            State of the board's buffers, including this report.
         in_flight, in_flight_bytes
-            Lines that are sent and not answered, with the times at which they were sent, and their bytes.
+            Lines sent and not answered, with the times at which they were sent, and their number of bytes.
         """
         held = buffers.rx.held(report.rx_free)
         surplus = report.rx_free >= 0 and held > in_flight_bytes
@@ -66,8 +66,8 @@ class Contradictions:
         if report.state not in ("Idle", "Check", "Alarm") or not in_flight:
             self._unanswered_since = None
             return ""
-        # An idle board with an unanswered line: its dwell, or line or answer are lost; a locked one answers at once.
-        # Only such time counts, so that nothing runs out during a hold.
+        # An idle board with an unanswered line is in a dwell, or line or answer was lost; a locked one answers at once.
+        # Only such time counts, so that no time-out expires during a hold.
         if self._unanswered_since is None:
             self._unanswered_since = now
         line = in_flight[0][0]
@@ -78,7 +78,7 @@ class Contradictions:
 
 def _lacks_answers(report: Report, buffers: BoardBuffers, in_flight: Sequence[tuple[Line, float]], now: float) -> bool:
     if not buffers.reported and report.state == "Idle":
-        # Nothing waits in its buffer, unless behind a line that it works on, such as a dwell.
+        # No line waits in its buffer, except behind a line in execution, such as a dwell.
         works = bool(in_flight) and in_flight[0][0].waits and in_flight[0][0].text != SYNCHRONISE
         return not works and answers_missing(in_flight, 0, now, idle=True, full=False)
     known = min(report.rx_free, report.planner_free) >= 0 and report.rx_free <= buffers.rx.size

@@ -1,4 +1,4 @@
-"""Causes for which a motion was broken off because the board's reports contradict what it was sent."""
+"""Causes of an aborted motion whose reports contradict the sent lines."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ from enum import Enum
 
 
 class MotionFault(str, Enum):
-    """Machine-readable cause in ``GoalResult.code`` of an aborted motion; no sender may repeat it unseen."""
+    """Machine-readable cause in ``GoalResult.code`` of an aborted motion; look at the panel before a repetition."""
 
     LEFT_PATH = "left_path"
-    """A report showed the board beside its path, or faster than planned: its position counts as lost."""
+    """A report showed the board off its path, or faster than planned: its position counts as lost."""
     TOUCH_UNPROVED = "touch_unproved"
-    """The board came to rest elsewhere than at the end of a stage: what the path was to touch was not touched."""
+    """The board came to rest at a position other than the end of a stage: the path's target was not touched."""
     MODES_DIFFER = "modes_differ"
     """``$G`` or the work offset did not show the modes, the feed or the frame that were sent."""
     OVERDUE = "overdue"

@@ -1,4 +1,4 @@
-"""The goal that the driver follows, and what is proved of it."""
+"""The goal in progress, and the state of its proof."""
 
 from __future__ import annotations
 
@@ -16,22 +16,22 @@ Reading = tuple[float, float, float]
 
 @dataclass(slots=True, kw_only=True)
 class Goal:
-    """The goal under way: its stages, and what is proved of the present one.
+    """The goal in progress: its stages, and the state of the current one.
 
     Parameters
     ----------
     goal_id, text, started
-        For the answer.
+        Values for the answer.
     end_m
         Readings at the end, m.
     stages
-        Those that have not begun; a program has none.
+        Stages that have not started; a program has none.
     items
-        What is still to be sent of the present stage; a long program is walked through while it runs.
+        Unsent items of the current stage; a long program is read while it runs.
     origin_mm
-        The frame of the path, None outside a frame.
+        Frame of the path, None outside a frame.
     limit_s
-        Largest duration without pauses, s.
+        Maximum duration without pauses, s.
     touching
         Whether the stylus is extended anywhere on the path.
     """
@@ -48,23 +48,23 @@ class Goal:
     touching: bool = False
     watch: PathWatch | None = None
     marks: LineMarks | None = None
-    """Where the lines of a program end; a goal's stages are short and need none."""
+    """Ends of a program's lines along its path; the stages of a trajectory are short and need none."""
     sent_all: bool = False
-    """Whether every line of the present stage is queued."""
+    """Whether every line of the current stage is queued."""
     last_line: int = 0
     unasked: int = 0
-    """Lines since the last ``$G`` that was sent between them."""
+    """Number of lines since the last ``$G`` that was sent between them."""
     feed: str = ""
     confirming: Confirm | None = None
     confirm_line: int = 0
     modes_text: str = ""
-    """What the last ``[GC:..]`` said since the question."""
+    """Text of the last ``[GC:..]`` since the query."""
     tries: int = 0
     frame: Confirm | None = None
-    """The order that sets the frame of the path."""
+    """Order that sets the frame of the path."""
     doubt: Deviation | None = None
-    """The deviation of the last report, after which the board was held; the next report decides."""
+    """Deviation of the last report, after which the board was held; the next report decides."""
     elsewhere_at: float = math.inf
-    """When the board was first seen at rest elsewhere than at the end of the stage."""
+    """Time at which the board first reported rest at a position other than the end of the stage."""
     paused_s: float = 0.0
     slowest_percent: float = 100.0

@@ -1,4 +1,4 @@
-"""The board's modes as ``$G`` reports them, compared with those that the next lines rely on."""
+"""Comparison of the modes that ``$G`` reports with those on which the next lines depend."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import re
 from dataclasses import dataclass
 
 ASK_MODES = "$G"
-"""Obeyed at any time without effect, and answered in its turn by a text of its own."""
+"""Query of the modes: allowed at any time, without effect, and answered in turn by a distinct text."""
 _FEED = re.compile(r"F(\d+(?:\.\d*)?)\Z")
 _SPINDLE = re.compile(r"S(\d+(?:\.\d*)?)\Z")
 
@@ -20,7 +20,7 @@ class Modes:
     words
         Words that ``[GC:..]`` must contain, such as ``G21``.
     feed_mm_min, spindle
-        The F and S values; None where they do not matter.
+        The F and S values; None if they do not matter.
     """
 
     words: frozenset[str]
@@ -28,7 +28,7 @@ class Modes:
     spindle: float | None = None
 
     def missing(self, reported: str) -> str:
-        """Return what the text of a ``[GC:..]`` lacks, empty if it has all.
+        """Return the modes that the text of a ``[GC:..]`` lacks, empty if it has all.
 
         Boards print the feed as a whole number.
 

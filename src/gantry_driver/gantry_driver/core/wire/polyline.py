@@ -15,18 +15,18 @@ class Polyline:
     Parameters
     ----------
     start_mm
-        Where it begins.
+        Start position.
     axes
-        Number of axes that reports show, 2 where the stylus is no axis of the board.
+        Number of axes in reports, 2 if the stylus is not an axis of the board.
 
     Attributes
     ----------
     points, ends_mm, feeds
-        The end of each piece, its distance along the path, and the feed to it; the start is the first of them.
+        End of each piece, its distance along the path, and the feed to it; the start is the first entry.
     end_mm
-        The end of the path.
+        End of the path.
     highest_feed
-        Of all pieces.
+        Maximum feed of all pieces.
     """
 
     def __init__(self, start_mm: Sequence[float], axes: int) -> None:
@@ -42,7 +42,7 @@ class Polyline:
         return self.ends_mm[-1]
 
     def append(self, end_mm: Sequence[float], feed_mm_min: float) -> None:
-        """Add a move; one that goes straight on lengthens the last, so that a dense path is quickly searched."""
+        """Add a move; a move in the same direction extends the last piece, so that searching a dense path is fast."""
         start, end = self.points[-1], tuple(end_mm[: self.axes])
         self.end_mm = end
         self.highest_feed = max(self.highest_feed, feed_mm_min)
@@ -63,7 +63,7 @@ class Polyline:
         self.feeds.append(feed_mm_min)
 
     def pieces(self, low_mm: float, high_mm: float) -> range:
-        """Return the numbers of the pieces between two distances along the path; none of a path that stands still."""
+        """Return the numbers of the pieces between two distances along the path; none for a path without motion."""
         last = len(self.ends_mm) - 1
         first = min(bisect_left(self.ends_mm, low_mm, 1), last)
         return range(max(first, 1), min(bisect_left(self.ends_mm, high_mm, max(first, 1)), last) + 1)

@@ -1,65 +1,69 @@
-"""What a goal must prove while it runs: modes, places at rest, path and time; no I/O and no clock."""
+"""Checks of a running goal by the board's reports: modes, positions at rest, path and time; no I/O and no clock."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
 
-from gantry_driver.core.grbl_messages import Report
-from gantry_driver.core.machine_config import DriverConfig
-from gantry_driver.core.machine_states import Note, Phase
-from gantry_driver.core.session import FULL_FEED, FULL_SPINDLE, HOLD, RESUME, Line
-from gantry_driver.core.stopping import SAME_PLACE_MM, Stopping, elsewhere
-from gantry_driver.core.stylus_state import Stylus
-from gantry_driver.core.trajectory_gcode import may_be_down_after, reading_m
+from gantry_driver.core.grbl.grbl_messages import Report
+from gantry_driver.core.grbl.session import FULL_FEED, FULL_SPINDLE, HOLD, RESUME, Line
+from gantry_driver.core.grbl.trajectory_gcode import may_be_down_after, reading_m
+from gantry_driver.core.machine.machine_config import DriverConfig
+from gantry_driver.core.machine.machine_states import Note, Phase
+from gantry_driver.core.machine.stopping import SAME_PLACE_MM, Stopping, elsewhere
+from gantry_driver.core.machine.stylus_state import Stylus
 from gantry_driver.core.wire.faults import MotionFault
 from gantry_driver.core.wire.goal import Goal, Reading
 from gantry_driver.core.wire.modes import ASK_MODES
 from gantry_driver.core.wire.stages import CLEAR_FRAME, FEED_WORD, Confirm
 from gantry_driver.core.wire.watch import REPORT_LATE_S, PathWatch
-from icu_common.core.results import Outcome
+from icu_common.core.goals.results import Outcome
 
 CONFIRM_TRIES = 4
-"""Number of times that modes, feed and frame are sent and asked for."""
+"""Maximum number of times that modes, feed and frame are sent and requested."""
 ELSEWHERE_S = 0.1
-"""Seconds for which a board must be at rest elsewhere: it starts a move a moment after it has acknowledged the line."""
+"""Seconds at rest at another position after which a goal fails: a board starts a move shortly after the line's answer.
+"""
 OWN_RESET = "the board was reset by itself, its position is lost"
 ELSEWHERE = "the board stands elsewhere without a command from here, its position is lost"
+RESTS = Phase.IDLE, Phase.STOPPED
+"""Phases of a homed machine in which the board moves only without a command."""
 BEYOND_MM = 0.5
-"""Distance beyond the travel that a report may show: a switch that was set by hand, and rounding."""
+"""Maximum distance beyond the travel in a report: a switch that was adjusted by hand, and rounding."""
 FRAME_MM = 0.02
-"""Largest difference between the frame and the reported one: a motor step, for lines end between two of them."""
+"""Maximum difference between the ordered and the reported frame: one motor step, because lines end between two steps.
+"""
 SEEN_S = 1.0
-"""Maximum age of a message that the stylus was seen off the panel."""
+"""Maximum age in seconds of a message that the stylus was seen off the panel."""
 ASK_EVERY = 20
-"""Lines after which ``$G`` is sent to a board that does not report its buffers: answered out of turn, it shows that an
-answer before it is missing."""
+"""Number of lines after which ``$G`` is sent to a board that does not report its buffers: an answer out of turn shows
+that an earlier answer is missing."""
 QUEUED_LINES = 600
-"""Of a goal, ahead of the board: more than the shortest lines that any receive buffer holds."""
+"""Maximum number of a goal's queued lines: more than any receive buffer holds of the shortest lines."""
 
 
 class Proving(Stopping):
-    """One board whose motion is compared with what it was sent."""
+    """One board whose motion is compared with the sent path."""
 
     def __init__(self, config: DriverConfig, *, active: bool = True, left_down: bool = False) -> None:
         super().__init__(config, active=active, left_down=left_down)
         self._feed_percent = math.nan
-        """The board's feed override in the last report that had it."""
+        """Feed override of the board in percent, from the last report that had it."""
         self._stylus_line = 0
-        """The last line queued that moves a stylus without a Z axis."""
+        """Number of the last queued line that moves a stylus without a Z axis."""
         self._has_g92: bool | None = None
-        """Whether a G92 is in force; None after a reset, which only some firmwares keep it over."""
+        """Whether a G92 is in force; None after a reset, because only some firmwares keep it then."""
 
     @property
     def _axes(self) -> int:
-        """Number of axes that reports show: where another stylus is no board tells."""
+        """Number of axes in reports: no board reports the position of a stylus without a Z axis."""
         return 3 if self.config.stylus.kind == "z_axis" else 2
 
     def output(self, now: float) -> bytes:
         """Return the bytes to write."""
         if self.phase is Phase.MOVING and self._goal is not None:
             self._queue_more(self._goal)
-        # Not with an override below 100 %: an operator has set it, and it must stay.
+        # Not with an override below 100 %: an operator has set it, and it must not change.
         self.session.sets_feed_back = self.phase is Phase.MOVING and self._feed_percent == 100.0
         return super().output(now)
 
@@ -74,7 +78,7 @@ class Proving(Stopping):
         self._say_if_changed()
 
     def _queue_more(self, goal: Goal) -> None:
-        """Queue lines up to a limit, so that a long program starts at once."""
+        """Queue lines up to a limit, so that a long program starts without delay."""
         while not (goal.sent_all or goal.confirming) and self.session.unsent < QUEUED_LINES:
             if goal.unasked >= ASK_EVERY and not self.session.tells_buffers:
                 goal.unasked = 0
@@ -110,7 +114,7 @@ class Proving(Stopping):
         goal.last_line = line.number
 
     def _order_stylus(self, line: Line) -> None:
-        """Note what a line that was queued may do with the stylus."""
+        """Note how a queued line may move the stylus."""
         if self.config.stylus.kind == "z_axis":
             if "Z" in line.text:
                 self._stylus = Stylus.UNDER_WAY
@@ -118,18 +122,19 @@ class Proving(Stopping):
             self._stylus, self._stylus_line = self._stylus.ordered(down), line.number
 
     def _next_stage(self, goal: Goal, now: float) -> None:
-        """Release the lines of the next stage; the one before is proved."""
+        """Release the lines of the next stage after the proof of the previous one."""
         stage = goal.stage = goal.stages.popleft()
         goal.items = stage.items(self._frame_mm, goal.feed, self.config)
         goal.sent_all, goal.elsewhere_at = False, math.inf
         if stage.start_mm is not None:
-            goal.watch = PathWatch.along(stage.start_mm, stage.segments(), self._axes, now)
+            accelerations = self.config.machine.acceleration_mm_s2
+            goal.watch = PathWatch.along(stage.start_mm, stage.segments(), self._axes, now, accelerations)
 
     def _stage_sent(self, goal: Goal) -> bool:
         return goal.sent_all and goal.confirming is None and goal.last_line <= self._acked
 
     def _modes_answered(self, goal: Goal, now: float) -> None:
-        """Compare what ``$G`` has said; noise may have spoilt order or answer, so try again before giving up."""
+        """Check the answer to ``$G``; noise may have damaged order or answer, so try again before the goal fails."""
         item = goal.confirming
         if item is None:
             return
@@ -156,15 +161,15 @@ class Proving(Stopping):
         return True
 
     def _fault(self, code: MotionFault, reason: str, now: float, details: tuple[tuple[str, str], ...] = ()) -> None:
-        """Answer the goal with a code, and begin the way down."""
+        """Answer the goal with a code, and begin the stop sequence."""
         self._finish(Outcome.ABORTED, reason, now, code=code.value, details=details)
         self._halt(reason, now)
         self._distrusted = code is MotionFault.LEFT_PATH
 
     def _leaves_path(self, report: Report, now: float) -> bool:
-        """Compare a report of a moving board with the path; return whether it is not to be believed.
+        """Compare a report of a moving board with the path; return whether to ignore the report.
 
-        The first report beside the path holds the board. The next decides: noise spoils one report, hardly two.
+        The first report off the path holds the board, and the next decides: noise damages one report, hardly two.
         """
         goal = self._goal
         if goal is None or goal.watch is None or report.mpos_mm is None or self.phase is not Phase.MOVING:
@@ -173,9 +178,8 @@ class Proving(Stopping):
             executed_mm = goal.marks.executed_mm(self._acked, self.session.blocks_waiting)
             goal.watch.bound(executed_mm, goal.marks.along_mm(self.session.sent_number))
         raised = max(100.0, self._feed_percent) / 100.0  # max() returns 100 if the other is NaN
-        deviation = goal.watch.check(
-            report.mpos_mm, (report.feed_mm_min or 0.0) / raised, now, self.session.report_asked_at
-        )
+        feed_mm_min = None if report.feed_mm_min is None else report.feed_mm_min / raised
+        deviation = goal.watch.check(report.mpos_mm, feed_mm_min, now, self.session.report_asked_at)
         if deviation is None and goal.watch.early:
             self.session.poll_now()
             return True
@@ -198,7 +202,7 @@ class Proving(Stopping):
         return True
 
     def _check_time(self, now: float) -> None:
-        """End a goal that takes too long, by a feed or a coordinate that is not the one sent."""
+        """End a goal that takes too long, because of a damaged feed or coordinate."""
         goal = self._goal
         if goal is None or self.phase is not Phase.MOVING or self._pausing:
             return
@@ -209,7 +213,7 @@ class Proving(Stopping):
             self._fault(MotionFault.OVERDUE, text, now, details)
 
     def _at_rest(self, goal: Goal, report: Report, now: float) -> None:
-        """Take the proof of a stage, or wait for a second report that says that there is none."""
+        """Accept the proof of a stage, or fail the goal once a later report also shows another position."""
         here = self.reading_m
         if here is None or report.mpos_mm is None:
             return
@@ -234,7 +238,7 @@ class Proving(Stopping):
         return f"the board stands at {_metres(here)} instead of {_metres(end_m)}, {1000.0 * error_m:.2f} mm off"
 
     def _frame_is_set(self, goal: Goal, report: Report, now: float) -> bool:
-        """Whether the board reports the frame of the path; if it reports another, order it again."""
+        """Whether the board reports the frame of the path; if it reports another one, order the frame again."""
         offset, origin = self.session.wco_mm, goal.origin_mm
         if origin is None:
             return True
@@ -261,11 +265,11 @@ class Proving(Stopping):
         self._finish(Outcome.REACHED, "", now, error_m)
 
     def _strayed(self, report: Report, now: float) -> str:
-        """Return why the place that a report tells is none where the board can have gone; empty if it can."""
+        """Return why the board cannot be at the position in a report; empty if it can."""
         place, before = report.mpos_mm, self._stood_mm
         if not self.homed or place is None or before is None or self.phase is Phase.RESETTING:
             return ""
-        if self.phase in (Phase.IDLE, Phase.STOPPED) and report.state == "Idle":
+        if self.phase in RESTS and report.state == "Idle":
             there = len(place) == len(before) and not elsewhere(place, before)
         else:
             there = self._can_be_at(place, before, now - self._stood_at)
@@ -273,8 +277,24 @@ class Proving(Stopping):
             return ""
         return ELSEWHERE if any(place) else OWN_RESET
 
+    def _moves_at_rest(self, report: Report, now: float) -> bool:
+        """Return whether a board that should rest reports another position; only the state of the report counts.
+
+        A pendant may move the board, so the report holds the machine at once. It may also be an old report that
+        arrives late; the reports of the hold then show the position.
+        """
+        place, before = report.mpos_mm, self._stood_mm
+        if self.phase not in RESTS or not self.homed or place is None or before is None:
+            return False
+        if report.state == "Idle" or not elsewhere(place, before) or self._moved_mm == place:
+            return False
+        self._moved_mm, self._moved_at = place, self.session.report_asked_at
+        self.session.poll_now()
+        self._report_resting(report, now)
+        return True
+
     def _can_be_at(self, place: Sequence[float], before: Sequence[float], after_s: float) -> bool:
-        """Whether the axes can have gone from one place to the other, and neither lies outside the travel."""
+        """Whether the axes can have moved from ``before`` to ``place``, and ``place`` is inside the travel."""
         machine, way_s = self.config.machine, after_s + REPORT_LATE_S
         near = all(
             abs(now_mm - was_mm) <= SAME_PLACE_MM + rate * way_s / 60.0
@@ -284,14 +304,14 @@ class Proving(Stopping):
         return near and inside and len(place) == len(before)
 
     def _set_overrides_back(self, now: float, feed: float, _rapid: float, spindle: float) -> None:
-        """End what a pendant has raised: no touch is faster, and no servo elsewhere, than it is configured.
+        """Reset overrides that a pendant has raised: no touch is faster, and no servo elsewhere, than configured.
 
         A lower override stays: an operator may slow the machine down.
         """
         rises = feed > self._feed_percent > 100.0
         self._feed_percent = feed
         if rises and self.phase is Phase.MOVING:
-            # What is to set it back arrives as something else, each time.
+            # Each byte that should reset the override arrives as a different one.
             self._halt(f"the board's feed override rises to {feed:g} % although it is set back", now)
         if self._goal is not None:
             self._goal.slowest_percent = min(self._goal.slowest_percent, feed)
@@ -306,7 +326,7 @@ class Proving(Stopping):
 
 
 def three(values: Sequence[float]) -> Reading:
-    """Return the first three values as a place."""
+    """Return the three values as a position."""
     x, y, z = values
     return x, y, z
 

@@ -1,15 +1,15 @@
-"""A path cut into stages: each ends at rest, where reports must prove that the board has come to the end of it.
+"""Division of a path into stages: each ends at rest, where reports must prove that the board is at the stage's end.
 
-A stage ends at every extreme of z, where the path turns back, and ``clearance_m`` above the deepest point of a way
-down that also goes sideways, or is not written in the frame below. The lines of the next stage go out only after that
-proof: whatever happens to a line on the way down, the stylus is above the panel until the board has reported that it
-is where it should be.
+A stage ends at every extreme of z, at every reversal of the path, and ``clearance_m`` above the deepest point of a
+descent that also moves sideways or is not written in the frame below. The driver sends the next stage only after that
+proof. Whatever happens to a line of the descent, the stylus is above the panel until the board has reported the right
+position.
 
-Where the stylus is extended, lines are written in a frame of their own (``G92``) in which the deepest point of the
-path is Z0 and X and Y are 100 to 999. The board reports frame and modes before the first of these lines is sent. A line
-then needs no minus sign and no G53: no flipped, lost, doubled or swapped byte of ``Z0G1`` names a deeper place, an X
-that has become a Z is above the travel, and an X or Y that has lost a digit is beyond it: the board itself refuses both
-(ALARM:2).
+While the stylus is extended, lines are written in a separate frame (``G92``), in which the deepest point of the path is
+Z0, and X and Y are 100 to 999. The board reports frame and modes before the driver sends the first of these lines. A
+line then needs no minus sign and no G53. No flipped, lost, doubled or swapped byte of ``Z0G1`` names a deeper position.
+An X that has become a Z is above the travel, and an X or Y that has lost a digit is beyond it: the board itself rejects
+both (ALARM:2).
 """
 
 from __future__ import annotations
@@ -20,10 +20,8 @@ import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
-from gantry_driver.core.machine_config import DriverConfig
-from gantry_driver.core.session import plain
-from gantry_driver.core.stylus_state import STYLUS_DOWN_M
-from gantry_driver.core.trajectory_gcode import (
+from gantry_driver.core.grbl.session import plain
+from gantry_driver.core.grbl.trajectory_gcode import (
     MODES,
     SAME_FEED,
     Motion,
@@ -32,6 +30,8 @@ from gantry_driver.core.trajectory_gcode import (
     stylus_dwell,
     stylus_lines,
 )
+from gantry_driver.core.machine.machine_config import DriverConfig
+from gantry_driver.core.machine.stylus_state import STYLUS_DOWN_M
 from gantry_driver.core.wire.lines import SYNCHRONISE
 from gantry_driver.core.wire.modes import ASK_MODES, Modes
 from gantry_driver.core.wire.watch import Segment, Vector
@@ -39,21 +39,21 @@ from gantry_driver.core.wire.watch import Segment, Vector
 DOWN_MM = 1000.0 * STYLUS_DOWN_M
 CLEAR_FRAME = "G92.1"
 FEED_WORD = re.compile(r"F([\d.]+)")
-"""The feed that a line sets: its first word."""
+"""Feed that a line sets: its first word."""
 LINE_S = 0.035
-"""Seconds that a line may take to be sent and answered: a USB adapter of 16 ms, twice."""
+"""Maximum seconds to send a line and receive its answer: twice the 16 ms of a USB adapter."""
 STAGE_S = 0.2
-"""Seconds of a stage for its proof and the modes of the next one."""
+"""Maximum seconds for the proof of a stage and the modes of the next one."""
 SURPLUS_S = 2.0
-"""Seconds of every goal beyond twice the expected ones."""
+"""Seconds added to twice the expected duration of a goal."""
 _TURNED_BACK = -0.99
 _SAME_MM = 0.01
-"""Largest difference of two frames that are the same: half a motor step is lost where one begins."""
+"""Maximum difference of two frames that count as equal: half a motor step is lost at the start of a frame."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Send:
-    """A line, the seconds that its dwell may take, and how far along a program's path it ends."""
+    """A line, the maximum duration of its dwell in seconds, and the distance along a program's path at its end."""
 
     text: str
     dwell_s: float = 0.0
@@ -62,7 +62,7 @@ class Send:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Confirm:
-    """Lines after which ``$G`` must report ``modes``; nothing follows before it does."""
+    """Lines after which ``$G`` must report ``modes``; the driver sends no further line before it does."""
 
     lines: tuple[str, ...]
     modes: Modes
@@ -79,15 +79,15 @@ class Stage:
     Parameters
     ----------
     start_mm, end_mm
-        Machine positions in mm; None where the lines are a program, which has one path for all of them.
+        Machine positions in mm; None if the lines are a program, which has one path for all its lines.
     parts
-        Its moves, and the orders of a stylus without a Z axis.
+        Moves, and orders to a stylus without a Z axis.
     touching
-        Whether the stylus is extended in it.
+        Whether the stylus is extended during the stage.
     head
-        What is sent before it and does not move: modes, and the frame.
+        Lines that are sent first and cause no motion: modes, and the frame.
     tail
-        What is sent at its end.
+        Lines that are sent at the end.
     frame
         Whether the lines of this stage are written in the frame, and the frame must be in force before them.
     """
@@ -105,18 +105,18 @@ class Stage:
         return [part for part in self.parts if isinstance(part, Move)]
 
     def segments(self) -> list[Segment]:
-        """Return the path that reports must show."""
+        """Return the path with which reports are compared."""
         return [Segment(start_mm=m.start_mm, end_mm=m.end_mm, feed_mm_min=float(m.feed)) for m in self.moves]
 
     def items(self, offset_mm: Sequence[float] | None, feed: str, config: DriverConfig) -> Iterator[Item]:
-        """Yield what is to be sent.
+        """Yield the lines and confirmations to send.
 
         Parameters
         ----------
         offset_mm
             The work offset of the frame as the board reports it; None outside a frame.
         feed
-            The number of the F word in force, empty where none is.
+            The number of the F word in force, empty if there is none.
         """
         yield from self.head
         inside = offset_mm if self.frame else None
@@ -134,15 +134,15 @@ class Stage:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Script:
-    """What a motion has become, and the largest number of seconds that it may take without pauses."""
+    """Stages of a motion, and its maximum duration in seconds without pauses."""
 
     stages: list[Stage]
     origin_mm: Vector | None
-    """The frame that the path is written in, None outside a frame."""
+    """Frame in which the path is written, None outside a frame."""
     limit_s: float
 
     def lines(self, config: DriverConfig) -> list[str]:
-        """Return the lines of all stages, as they are sent while every proof is given at once."""
+        """Return the lines of all stages, as they are sent if every proof succeeds at the first try."""
         lines: list[str] = []
         feed = ""
         for stage in self.stages:
@@ -154,12 +154,12 @@ class Script:
 
 
 def same_feed(feed: str, before: str) -> bool:
-    """Whether a feed differs from the one in force by rounding only."""
+    """Whether a feed differs from the one in force only by rounding."""
     return bool(before) and abs(float(feed) - float(before)) <= SAME_FEED * float(before)
 
 
 def move_words(move: Move, offset_mm: Sequence[float] | None = None) -> str:
-    """Return a move's line: in machine coordinates, or in a frame with this work offset."""
+    """Return the line of a move, in machine coordinates or in a frame with this work offset."""
     words = []
     for axis, letter in enumerate("XYZ"):
         start, end = move.start_mm[axis], move.end_mm[axis]
@@ -167,19 +167,19 @@ def move_words(move: Move, offset_mm: Sequence[float] | None = None) -> str:
             continue
         if offset_mm is not None:
             end -= offset_mm[axis]
-            # Z0 is the deepest place; what rounding leaves below it would need a minus sign.
+            # Z0 is the deepest position; a rounded value below it would need a minus sign.
             end = max(end, 0.0) if axis == 2 else end
         words.append(f"{letter}{plain(end)}")
     return "".join(words) + ("G53G1" if offset_mm is None else "G1")
 
 
 def confirm_feed(feed: str) -> Confirm:
-    """Return the order of a feed alone."""
+    """Return the order that only sets a feed."""
     return Confirm(lines=(f"F{feed}",), modes=Modes(words=frozenset({"G21", "G90", "G94"}), feed_mm_min=float(feed)))
 
 
 def frame_origin(deepest_mm: float, config: DriverConfig) -> Vector:
-    """Return the machine position of the frame's zero: X and Y begin at a power of ten, Z at the deepest point."""
+    """Return the machine position of the frame's zero: X and Y start at a power of ten, Z at the deepest point."""
     x, y, _ = config.machine.travel_mm
     base = 100.0 if max(config.machine.travel_mm) < 900.0 and config.machine.travel_mm[2] < 100.0 else 1000.0
     return -x - base, -y - base, round(deepest_mm, 3)
@@ -193,9 +193,9 @@ def make_script(
     Parameters
     ----------
     framed
-        Whether the board is one whose ``G92`` lasts until its reset and no longer.
+        Whether the board keeps a ``G92`` until its reset and no longer.
     frame_mm
-        The work offset of a frame that is in force.
+        Work offset of the active frame.
     """
     z_axis = config.stylus.kind == "z_axis"
     framed = framed and config.machine.sign(2) < 0.0
@@ -219,14 +219,14 @@ def make_script(
 def _prepare(
     stages: list[Stage], first: int, origin: Vector | None, frame_mm: Sequence[float] | None, config: DriverConfig
 ) -> int | None:
-    """Order modes, feed and frame before the first stage that touches; return its number, None for a mere retreat."""
+    """Order modes, feed and frame before the first stage that touches; return its number, None for a retreat only."""
     kept = origin is not None and frame_mm is not None and _same_frame(origin, frame_mm)
     lifts = origin is not None and frame_mm is not None and frame_mm[2] <= origin[2] + _SAME_MM
     retreat = first == 0 and all(_only_rises(stage) for stage in stages if stage.touching)
     if retreat and lifts:
         for stage in stages:
             stage.frame = stage.touching
-            stage.touching = False  # nothing of it goes down: it needs no proof before it begins
+            stage.touching = False  # no part of it goes down, so it needs no proof before it starts
         return None
     if first == 0:
         stages.insert(0, Stage(start_mm=stages[0].start_mm, end_mm=stages[0].start_mm))
@@ -235,7 +235,8 @@ def _prepare(
     words, here = f"F{feed}{MODES}", stages[first].start_mm
     if origin is not None and not kept and here is not None:
         words += "".join(f"{letter}{plain(p - o)}" for letter, p, o in zip("XYZ", here, origin)) + "G92"
-    # In one line with G90 and G94 a G92 that has become one of these is refused (error:21) and moves nothing.
+    # In one line with G90 and G94: a G92 that noise has changed into one of these is rejected (error:21) and moves
+    # nothing.
     stages[first - 1].tail.append(Confirm(lines=(words,), modes=confirm_feed(feed).modes))
     for stage in stages[first:]:
         stage.frame = origin is not None
@@ -252,7 +253,7 @@ def _only_rises(stage: Stage) -> bool:
 
 
 def depth_mm(place: Sequence[float], config: DriverConfig) -> float:
-    """Return how far the stylus is extended at a machine position."""
+    """Return the extension of the stylus at a machine position, in mm."""
     return (place[2] - config.machine.homed_mpos_mm()[2]) * config.machine.sign(2)
 
 
@@ -270,22 +271,18 @@ def _turns_back(one: Move, other: Move) -> bool:
 def _z_stages(motion: Motion, config: DriverConfig, framed: bool) -> list[Stage]:
     moves: list[Move] = []
     ends: set[int] = set()
-    """Numbers of moves at whose ends a stage ends."""
+    """Numbers of the moves at whose end a stage ends."""
     run: list[Move] = []
     for move in [*motion.moves, None]:
         if run and (move is None or _direction(move, config) != 1):
             if framed and all(m.start_mm[:2] == m.end_mm[:2] for m in run):
-                # It begins at rest above its place, and no damaged line of the frame goes deeper than its end.
+                # It starts at rest above its target, and no damaged line of the frame goes deeper than its end.
                 moves += run
             else:
                 _go_down(run, moves, ends, config)
             run = []
-        if move is None:
-            break
-        if _direction(move, config) == 1:
-            run.append(move)
-        else:
-            moves.append(move)
+        if move is not None:
+            (run if _direction(move, config) == 1 else moves).append(move)
     for number, (move, after) in enumerate(itertools.pairwise(moves)):
         if _direction(move, config) != _direction(after, config) or _turns_back(move, after):
             ends.add(number)
@@ -300,10 +297,10 @@ def _z_stages(motion: Motion, config: DriverConfig, framed: bool) -> list[Stage]
 
 
 def _go_down(run: Sequence[Move], moves: list[Move], ends: set[int], config: DriverConfig) -> None:
-    """Append the moves of one way down, cut where it is ``clearance_m`` above its end."""
+    """Append the moves of one descent, divided at ``clearance_m`` above its end."""
     stop = depth_mm(run[-1].end_mm, config) - 1000.0 * config.clearance_m
     if stop - depth_mm(run[0].start_mm, config) < DOWN_MM:
-        stop = -math.inf  # it begins there
+        stop = -math.inf  # the descent starts there
     for move in run:
         start, end = depth_mm(move.start_mm, config), depth_mm(move.end_mm, config)
         if start < stop <= end:
@@ -318,7 +315,7 @@ def _go_down(run: Sequence[Move], moves: list[Move], ends: set[int], config: Dri
 
 
 def _order_stages(motion: Motion) -> list[Stage]:
-    """Cut before each order to go down, and where the path turns back."""
+    """Divide a path before each order to go down, and at each reversal."""
     stages: list[Stage] = []
     here, parts = motion.start_mm, list[Part]()
     for number, part in enumerate(motion.parts):
@@ -338,7 +335,7 @@ def _end(here: Vector, parts: Sequence[Part]) -> Vector:
 
 
 def _stylus_items(order: Order, config: DriverConfig) -> Iterator[Item]:
-    """Yield an order to a servo or solenoid, which ``$G`` confirms, and its dwell."""
+    """Yield an order to a servo or solenoid, to be confirmed by ``$G``, and its dwell."""
     line, _ = stylus_lines(order.down, config)
     if config.stylus.kind == "servo_m3":
         spindle = config.stylus.servo_down if order.down else config.stylus.servo_up
@@ -352,8 +349,8 @@ def _stylus_items(order: Order, config: DriverConfig) -> Iterator[Item]:
 def _limit_s(motion: Motion, stages: Sequence[Stage], config: DriverConfig) -> float:
     """Return twice the expected duration and a surplus.
 
-    The expected duration has the moves at their feeds or at the slower rate of an axis, what the axes need to speed up
-    and to slow down again wherever the path has a corner, the dwells, the lines, and the proofs.
+    The expected duration includes the moves (at their feeds, or at an axis's rate if that is lower), the acceleration
+    and deceleration at every corner of the path, the dwells, the lines, and the proofs.
     """
     orders = len(motion.parts) - len(motion.moves)
     seconds = STAGE_S * len(stages) + LINE_S * len(motion.parts) + config.stylus.dwell_s * orders

@@ -1,4 +1,4 @@
-"""The mock board: GRBL 1.1h, of which this is the top layer, the ``$`` commands."""
+"""The mock board: GRBL 1.1h. This is its top layer, the ``$`` commands."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from gantry_driver.mock.firmware.states import (
 
 MAX_SETTING = 255
 REPORT_INCHES = 13
-"""Also set to what it was already, it brings the work offset with the next report."""
+"""Number of the setting for inches; even setting it to its old value adds the work offset to the next report."""
 
 
 class Board(Execution):
-    """One controller board with its motors; :class:`.interrupts.Interrupts` says what to call."""
+    """One controller board with its motors; :class:`.interrupts.Interrupts` has the public methods."""
 
     # ---- $ commands
 

@@ -1,4 +1,4 @@
-"""How the mock board carries out what a line says: EEPROM writes, moves, arcs, dwells, probing, homing."""
+"""Execution of lines by the mock board: EEPROM writes, moves, arcs, dwells, probing, homing."""
 
 from __future__ import annotations
 
@@ -33,14 +33,14 @@ from gantry_driver.mock.firmware.states import (
 from gantry_driver.mock.firmware.words import LETTER, GcodeError
 
 MAX_COUNT = 0xFFFF
-"""Dwells and arcs are counted with 16 bits, and what is beyond is cut off."""
+"""Maximum count in dwells and arcs: the firmware counts with 16 bits, and drops higher bits."""
 
 
 class Execution(RealTime):
-    """Plans and waits as the firmware's motion control does."""
+    """Plans and waits like the firmware's motion control."""
 
     def _write_eeprom(self, change: Callable[[], None]) -> Firmware:
-        """Change what is stored; each changed byte takes a write during which the board is deaf."""
+        """Change the stored data; during the write of each changed byte the board receives nothing."""
         yield from self._buffer_sync()
         before = self.eeprom.image()
         change()
@@ -97,7 +97,7 @@ class Execution(RealTime):
         yield from self._checkpoint()
 
     def _gcode(self, line: str) -> Answering:
-        if line.startswith("$"):  # only a startup line's; it is read as a jog, whatever the next two characters are
+        if line.startswith("$"):  # only in a startup line; it is read as a jog, whatever the next two characters are
             return (yield from self._jog_words(line[3:])) if len(line) > 2 else LETTER
         try:
             block = check_line(line, self.parser, self.eeprom.systems, mist=self.options.mist)
@@ -106,7 +106,7 @@ class Execution(RealTime):
         try:
             yield from self._execute(block)
         except Abort:
-            if block.program:  # an aborted line is gone through to its end
+            if block.program:  # an aborted line is processed to its end
                 self._say(reports.PROGRAM_END)
             raise
         return 0
@@ -262,12 +262,14 @@ class Execution(RealTime):
         away = block.modes.motion in (38.4, 38.5)
         must = block.modes.motion in (38.2, 38.4)
         self._probe_ok = False
-        if self.mechanics.probe_closed() != away:
+        self._probe_away = away
+        if self._probe_triggered():
             self._halt(slips=False)
             self._alarm = ALARM_PROBE_START
             yield from self._checkpoint()
+            self._probe_away = False
             return
-        self._probing = lambda b: self._probe_along(b, away)
+        self._probing = self._probe_along
         yield from self._line_to(block.target, block.feed / 60.0, fixed_rate=True)
         self._auto_start()
         yield from self._until(lambda: self.state is State.IDLE)
@@ -278,12 +280,15 @@ class Execution(RealTime):
                 self._alarm = ALARM_PROBE_END
         yield from self._checkpoint()
         self.motion.halt(self.now)
+        self._probe_away = False
         self._sync_parser()
         self._say(reports.probe(self._mm(self._probed_at), self._probe_ok, self.eeprom.flag(13)))
 
-    def _probe_along(self, block: Block, away: bool) -> float | None:
+    def _probe_along(self, block: Block) -> float | None:
         surface, n = self.mechanics.probe_z_mm, block.steps[2]
-        if surface is None or not n or (n > 0) != away:
+        # The input must open if a closed one does not count: with $6 or away from the surface, but not with both.
+        opens = self.eeprom.flag(6) != self._probe_away
+        if surface is None or not n or (n > 0) != opens:
             return None
         steps = abs(self.mechanics.motor[2] - surface * self.mechanics.steps_per_mm[2])
         distance = self.motion.done + steps / abs(n) * block.length
@@ -300,7 +305,7 @@ class Execution(RealTime):
             return ERROR_BAD_STATEMENT
         self.state = State.HOME
         if rest != "H":
-            return ERROR_BAD_STATEMENT  # GRBL stays in Home, which only a reset ends
+            return ERROR_BAD_STATEMENT  # GRBL stays in Home until a reset
         if self.options.dialect == "grblHAL":
             self._stop_tools()
             modes = self.parser.modes

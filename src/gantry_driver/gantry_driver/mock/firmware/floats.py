@@ -1,4 +1,4 @@
-"""Numbers as the firmware reads, keeps and prints them: 32 bits, eight digits, halves away from zero.
+"""Numbers as the firmware reads, stores and prints them: 32 bits, eight digits, halves rounded away from zero.
 
 Source: read_float() and printFloat() of GRBL 1.1h (nuts_bolts.c, print.c).
 """
@@ -11,29 +11,29 @@ import struct
 from functools import lru_cache
 
 MAX_NUMBER = 3.4e38
-"""What a number of 32 bits can hold; the firmware's would be infinite beyond."""
+"""Largest 32-bit number; the firmware's numbers would be infinite beyond it."""
 READ_DIGITS = 8
 MAX_PRINTED = 2**31
-"""The largest number of units of the last decimal that is printed: a conversion to 32 bits ends there."""
+"""Maximum printed number, in units of the last decimal: the limit of a conversion to 32 bits."""
 _SINGLE = struct.Struct("<f")
 _NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)")
 
 
 def float32(value: float) -> float:
-    """Return the nearest number of 32 bits, or the largest."""
+    """Return the nearest 32-bit number, or the largest one."""
     kept: float = _SINGLE.unpack(_SINGLE.pack(min(max(value, -MAX_NUMBER), MAX_NUMBER)))[0]
     return kept
 
 
 def one_byte(value: float) -> int:
-    """Return the lowest byte of a number without its decimals."""
+    """Return the lowest byte of a number's integer part."""
     return int(value) & 0xFF
 
 
 def read_number(text: str, index: int = 0) -> tuple[float, int] | None:
-    """Return a number of digits and a point, and where it ends; None without one.
+    """Return a number of digits and a point, and the index of its end; None without one.
 
-    Digits after the eighth count as zeros, also where the first ones are zeros.
+    Digits after the eighth count as zeros, even if the first ones are zeros.
 
     Examples
     --------
@@ -61,7 +61,7 @@ def read_number(text: str, index: int = 0) -> tuple[float, int] | None:
 
 @lru_cache(maxsize=1024)  # a board at rest prints the same numbers again and again
 def print_number(value: float, decimals: int) -> str:
-    """Return a number as it is printed; one that is a little below 0 keeps its sign.
+    """Return a number as it is printed; one slightly below 0 keeps its sign.
 
     Examples
     --------

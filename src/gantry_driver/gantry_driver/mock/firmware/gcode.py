@@ -1,8 +1,8 @@
 """The G-code parser of the mock board: one line and the modal state in, a checked block or an error number out.
 
-Which words exist, which exclude each other and which error answers what follow GRBL 1.1's documents
-(doc/csv/error_codes_en_US.csv, doc/markdown/commands.md) and RS274/NGC (NIST, 2000), tables 4 and 5; where they differ
-from what the firmware does, the firmware (gcode.c).
+Words, their conflicts and error numbers follow GRBL 1.1's documents (doc/csv/error_codes_en_US.csv,
+doc/markdown/commands.md) and RS274/NGC (NIST, 2000), tables 4 and 5; where these differ from the firmware, the firmware
+(gcode.c).
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ _JOG_GROUPS = {"action", "units", "distance"}
 
 
 class _Use(Enum):
-    """Which command takes the axis words of a line."""
+    """Command that uses the axis words of a line."""
 
     NONE = auto()
     ACTION = auto()
@@ -69,7 +69,7 @@ class _Reader:
 
     def read(self, text: str) -> None:
         for letter, value in split_words(text):
-            # A command's number is kept in one byte; whatever else it has counts as its decimals, in two bytes.
+            # A command's number is kept in one byte; the rest counts as its decimals, in two bytes.
             whole = one_byte(value)
             hundredths = math.floor(100 * (value - whole) + 0.5) & 0xFFFF
             if letter == "G":
@@ -218,7 +218,7 @@ class _Reader:
                 raise GcodeError(NO_FEED)
             return given or 0.0
         if self.state.modes.feed_mode == 93:
-            return given or 0.0  # the old value was an inverse time and means nothing now
+            return given or 0.0  # the old value was an inverse time and is invalid now
         return self.state.feed if given is None else given * self.scale
 
     def _length(self, block: CheckedBlock) -> None:
@@ -230,7 +230,7 @@ class _Reader:
             block.tool_length = self.values["Z"] * self.scale
 
     def _offset(self, axis: int) -> float:
-        """What is added to a work coordinate beside its system: G92 and the tool's length."""
+        """Offset that is added to a work coordinate in addition to its system: G92 and the tool's length."""
         return self.state.g92[axis] + (self.state.tool_length if axis == 2 else 0.0)
 
     def _set_system(self, block: CheckedBlock) -> None:
@@ -262,7 +262,7 @@ class _Reader:
 
     def _target(self, block: CheckedBlock) -> None:
         position = self.state.position
-        # Without an axis word the firmware leaves the target cleared, and a jog goes there: to machine zero.
+        # Without an axis word the firmware leaves the target at 0, so a jog goes to machine zero.
         block.target = [0.0, 0.0, 0.0] if self.jog and not self.axes else list(position)
         if self.use is not _Use.LENGTH:
             for axis in self.axes:
@@ -317,7 +317,7 @@ class _Reader:
             chord = math.hypot(dx, dy)
             if abs(radius) < chord / 2:
                 raise GcodeError(BAD_RADIUS)
-            # The centre lies on the chord's bisector: to the left for the short counter-clockwise arc.
+            # The centre is on the chord's bisector: to the left for the short counter-clockwise arc.
             side = 1.0 if (self.modes.motion == 3) == (radius > 0) else -1.0
             height = side * math.sqrt(radius**2 - chord**2 / 4)
             if chord == 0:
@@ -344,7 +344,7 @@ def check_line(
     Parameters
     ----------
     text
-        Capitals without blanks and comments; for a jog what follows ``$J=``.
+        Capitals without blanks and comments; for a jog, the text after ``$J=``.
     state
         Modes, position and offsets before the line; not changed.
     places
@@ -357,7 +357,7 @@ def check_line(
     Raises
     ------
     GcodeError
-        With the number the board answers.
+        With the board's error number.
     """
     reader = _Reader(state, places, jog=jog, mist=mist)
     reader.read(text)

@@ -1,6 +1,6 @@
 """The mock board's interrupts: bytes, limit switches, the step generator; bytes and time in, bytes out.
 
-The clock is the caller's: :meth:`Interrupts.advance` runs everything that falls due.
+The caller has the clock: :meth:`Interrupts.advance` runs everything that becomes due.
 """
 
 from __future__ import annotations
@@ -33,16 +33,16 @@ UART_FIFO_BYTES = 2
 
 
 class Interrupts(ABC):
-    """The board as far as its interrupts go.
+    """The interrupt layer of the board.
 
     Parameters
     ----------
     eeprom
         Settings and stored positions; the board writes to it.
     mechanics
-        What hangs on the pins.
+        Devices on the pins.
     rng
-        Source of all chance, so that a seed repeats a run.
+        Source of all random numbers, so that a seed repeats a run.
     """
 
     motion: Motion
@@ -65,6 +65,8 @@ class Interrupts(ABC):
     _suspend: set[Suspend]
     _probing: Callable[[Block], float | None] | None
     _probed_at: Triple
+    _probe_ok: bool
+    _probe_away: bool
 
     def __init__(self, eeprom: Eeprom, mechanics: Mechanics, rng: random.Random, options: BoardOptions) -> None:
         self.eeprom = eeprom
@@ -79,16 +81,16 @@ class Interrupts(ABC):
         self.powered = False
         self.state = State.IDLE
         self.error_after: list[int] = []
-        """Injected: [lines to let pass, error number]."""
+        """Injected fault: [number of lines to let pass, error number]."""
         self.eeprom_pause: tuple[float, float] | None = None
-        """Injected: the next EEPROM write takes this long, and stays deaf for that long after its answer."""
+        """Injected fault: seconds of the next EEPROM write, and seconds without reception after its answer."""
         self._clear()
 
     @abstractmethod
     def _clear(self) -> None:
-        """Forget everything volatile."""
+        """Clear all volatile state."""
 
-    # ---- what the world calls
+    # ---- interface
 
     def receive(self, data: bytes, now: float) -> None:
         """Put bytes from the host on the line."""
@@ -102,25 +104,25 @@ class Interrupts(ABC):
             self._lose(len(data), "unpowered")
 
     def advance(self, now: float) -> None:
-        """Run everything that falls due by ``now`` (s, never going back)."""
+        """Run everything that becomes due by ``now`` (s, never decreasing)."""
         self._run_until(now)
 
     def next_due(self) -> float | None:
-        """Return when something will happen by itself next, None if nothing will."""
+        """Return the time of the next event without input, None if there is none."""
         times = [self.outbound.due(), self._internal_due()]
         known = [t for t in times if t is not None]
         return min(known) if known else None
 
     def take_output(self) -> list[bytes]:
-        """Return what has arrived at the host, piece by piece."""
+        """Return the pieces that have arrived at the host."""
         return self.outbound.take(self.now)
 
     def moving(self) -> bool:
-        """Tell whether steps are being sent."""
+        """Return whether steps are being sent."""
         return self.motion.running
 
     def press_stop(self, pressed: bool) -> None:
-        """Push or release the button on the reset pin, which acts as 0x18 does."""
+        """Push or release the button on the reset pin, which acts like 0x18."""
         self.mechanics.stop_pressed = pressed
         if pressed:
             self.soft_reset()
@@ -131,7 +133,7 @@ class Interrupts(ABC):
         self._raise(Flag.DOOR if is_open else None)
 
     def hold_switch(self, axis: int, closed: bool) -> None:
-        """Close an axis's limit switch by hand, or let it go."""
+        """Close an axis's limit switch by hand, or release it."""
         if not closed:
             self.mechanics.held_switches.discard(axis)
             return
@@ -139,8 +141,19 @@ class Interrupts(ABC):
         if self.eeprom.flag(21) and self.state not in (State.ALARM, State.HOME):
             self.raise_alarm(ALARM_HARD)
 
+    def set_probe(self, closed: bool) -> None:
+        """Connect the probe input with ground, or disconnect it, at the time that :meth:`advance` has reached."""
+        self._catch_up()
+        self.mechanics.probe_contact = closed
+        if self._probing is not None and not self._probe_ok and self.motion.running and self._probe_triggered():
+            self._tripped()
+
+    def _probe_triggered(self) -> bool:
+        """Return whether the probe input has its active level: low, high with $6, the opposite in G38.4 and .5."""
+        return (self.mechanics.probe_closed() != self.eeprom.flag(6)) != self._probe_away
+
     def soft_reset(self) -> None:
-        """Do what the reset interrupt does: stop the motors at once and make the main loop restart."""
+        """Act like the reset interrupt: stop the motors at once and make the main loop restart."""
         self._catch_up()
         if Flag.RESET in self._flags:
             return
@@ -154,17 +167,17 @@ class Interrupts(ABC):
         self._raise(Flag.RESET)
 
     def raise_alarm(self, number: int) -> None:
-        """Stop at once and enter an alarm, as a limit switch does."""
+        """Stop at once and enter an alarm, like a limit switch."""
         m = self.mechanics
         tools = m.spindle, m.spindle_rpm, m.flood, m.mist
         self.soft_reset()
-        if self.options.dialect == "FluidNC":  # with off_on_alarm as it is, they run on until the reset
+        if self.options.dialect == "FluidNC":  # without off_on_alarm, tools run until the reset
             m.spindle, m.spindle_rpm, m.flood, m.mist = tools
         self._alarm = number
         self._woken = True
 
     def stall(self, seconds: float) -> None:
-        """Keep the main loop from running; interrupts go on."""
+        """Keep the main loop from running; interrupts continue."""
         self._stall_until = max(self._stall_until, self.now + seconds)
 
     # ---- time
@@ -193,7 +206,7 @@ class Interrupts(ABC):
         return due
 
     def _catch_up(self) -> None:
-        """Let the motors stand where the counters are now."""
+        """Move the motors to the current counters."""
         self.mechanics.follow(self.motion.position(self.now))
 
     def _run_firmware(self) -> None:
@@ -236,7 +249,7 @@ class Interrupts(ABC):
             self.raise_alarm(ALARM_HARD)
 
     def _watch(self, block: Block) -> float | None:
-        """Return where along a block a switch or the probe will act, in mm."""
+        """Return the distance along a block at which a switch or the probe will act, in mm."""
         if self.state is State.HOME:
             stops = [s for s, u in zip(block.freeze, block.unit) if u]
             known = [s for s in stops if s is not None]
@@ -245,14 +258,14 @@ class Interrupts(ABC):
             return self._probing(block)
         if not self.eeprom.flag(21):
             return None
-        # The motors may lag behind: they are asked for their place only now and then.
+        # The motors may lag behind, because their positions are updated only from time to time.
         self.mechanics.follow(block.position(self.motion.done))
         hits = [self._along(block, axis) for axis in range(3)]
-        known = [hit for hit in hits if hit]  # a switch that is closed already gives no new edge
+        known = [hit for hit in hits if hit]  # a switch that is already closed gives no new edge
         return self.motion.done + min(known) if known else None
 
     def _along(self, block: Block, axis: int) -> float | None:
-        """Return after how many more mm of the block an axis's switch closes."""
+        """Return the remaining distance in mm along the block at which an axis's switch closes."""
         if not block.steps[axis]:
             return None
         steps = self.mechanics.steps_to_switch(axis, 1 if block.steps[axis] > 0 else -1)
@@ -264,7 +277,7 @@ class Interrupts(ABC):
     def _bytes_arrive(self) -> None:
         while True:
             if self._reading and len(self._ring) >= self.options.rx_bytes and self._stall_until <= self.now:
-                self._woken = True  # the main loop is only waiting for bytes and takes them now
+                self._woken = True  # the main loop only waits for bytes and takes them now
                 return
             arrived = self.inbound.take(self.now)
             if arrived is None:
@@ -286,7 +299,7 @@ class Interrupts(ABC):
                     return
 
     def _fifo_catches(self, at: float) -> bool:
-        """While an EEPROM byte is written the interrupts are off and the receiver keeps two bytes."""
+        """Return whether the receiver keeps a byte: during an EEPROM write, without interrupts, it keeps two."""
         window = int((at - self._deaf_from) / EEPROM_BYTE_S)
         if window != self._fifo_window:
             self._fifo_window, self._fifo_used = window, 0

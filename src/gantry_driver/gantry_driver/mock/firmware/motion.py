@@ -20,11 +20,11 @@ _MIN_RATE_MM_S = 1.0 / 60.0
 _TINY_MM = 1e-9
 _TINY_S = 1e-9
 _FREE = (None, None, None)
-"""No axis's steps are locked."""
+"""Value of ``freeze`` with no axis's steps locked."""
 
 
 class MotionEvent(Enum):
-    """What a due moment of the motion was."""
+    """Kind of a due event of the motion."""
 
     BLOCK_DONE = auto()
     ALL_DONE = auto()
@@ -34,7 +34,7 @@ class MotionEvent(Enum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Limits:
-    """What the settings say about the axes; mm, mm/s, mm/s^2."""
+    """Settings of the axes; mm, mm/s, mm/s^2."""
 
     steps_per_mm: Vector
     max_rate: Vector
@@ -59,9 +59,9 @@ class Block:
     max_entry_sqr: float = 0.0
     entry_sqr: float = 0.0
     freeze: tuple[float | None, float | None, float | None] = _FREE
-    """Where along the block (mm) an axis's steps are locked, as in a homing search."""
+    """Distances along the block (mm) at which the axes' steps are locked, as in a homing search."""
     trigger: float | None = None
-    """Where along the block (mm) something is to happen."""
+    """Distance along the block (mm) of a :attr:`MotionEvent.TRIGGER`."""
 
     def position(self, done: float) -> Triple:
         """Return the counters after ``done`` mm of the block."""
@@ -83,14 +83,14 @@ class _Phase:
 
 
 def _limited(unit: Vector, limits: Vector) -> float:
-    """Return the largest speed along ``unit`` that no axis exceeds."""
+    """Return the maximum speed along ``unit`` at which no axis exceeds its limit."""
     return min(limit / abs(u) for limit, u in zip(limits, unit) if u)
 
 
 class Motion:
-    """The moves that are planned, and the one under way.
+    """The planned moves, and the one in progress.
 
-    ``watch`` is asked, whenever a block gets under way, for the distance (mm along it) at which to raise
+    ``watch`` is called at the start of each block; it returns the distance (mm along it) at which to raise
     :attr:`MotionEvent.TRIGGER`.
     """
 
@@ -113,12 +113,12 @@ class Motion:
 
     @property
     def room(self) -> int:
-        """How many blocks the planner can take."""
+        """Number of blocks that the planner can accept."""
         return self.capacity - len(self.blocks)
 
     @property
     def done(self) -> float:
-        """How many mm of the first block were done when it last began, stopped or changed its plan."""
+        """Distance in mm along the first block at its last start, stop or change of plan."""
         return self._done
 
     def set_position(self, steps: Triple) -> None:
@@ -136,7 +136,7 @@ class Motion:
         return self._state(now)[1] if self.running else 0.0
 
     def axis_speeds(self, now: float) -> Vector:
-        """Return the axes' speeds in mm/s; locked axes stand."""
+        """Return the axes' speeds in mm/s; 0 for locked axes."""
         if not (self.running and self.blocks):
             return 0.0, 0.0, 0.0
         done, speed = self._state(now)
@@ -157,9 +157,9 @@ class Motion:
         inverse_time: bool = False,
         fixed_rate: bool = False,
     ) -> Block | None:
-        """Plan a straight move to ``target`` (steps) at ``rate`` (mm/s, or 1/s when ``inverse_time``).
+        """Plan a straight move to ``target`` (steps) at ``rate`` (mm/s, or 1/s if ``inverse_time``).
 
-        Returns the block, or None when the target is where the last block ends.
+        Returns the block, or None if the target is the end of the last block.
         """
         limits = self.limits
         steps = (target[0] - self._planned[0], target[1] - self._planned[1], target[2] - self._planned[2])
@@ -212,13 +212,13 @@ class Motion:
         return here
 
     def override(self, now: float, *, feed: float, rapid: float) -> None:
-        """Set the override factors, which act on the move under way as well."""
+        """Set the override factors, which also apply to the move in progress."""
         self._advance(now)
         self.feed_override, self.rapid_override = feed, rapid
         self._replan(now)
 
     def due(self) -> float | None:
-        """Return when the next event happens, None when nothing moves."""
+        """Return the time of the next event, None if nothing moves."""
         if not self.running or not self._phases:
             return None
         last = self._phases[-1]
@@ -233,7 +233,7 @@ class Motion:
     def step(self, now: float) -> MotionEvent:
         """Carry out the event that is due at ``now``."""
         block = self.blocks[0]
-        # Compared as times, as in due(): where the clock is coarse the place at that time may still lie before it.
+        # Compared as times, as in due(): with a coarse clock the position at that time may still be before it.
         reached = None if block.trigger is None else self._time_at(block.trigger)
         self._advance(now)
         if block.trigger is not None and reached is not None and reached <= now:
@@ -246,7 +246,7 @@ class Motion:
             self._rest = block.position(block.length)
             self.blocks.popleft()
             self._done = 0.0
-        # A speed that rounding has left over, too small for a phase of the next block, is none.
+        # A speed that rounding has left over, too small for a phase of the next block, counts as 0.
         least = 2.0 * _TINY_S * self.blocks[0].acceleration if self.blocks else 0.0
         held = self.stopping and self._speed < max(1e-6, least)
         if held or not self.blocks:
@@ -263,14 +263,14 @@ class Motion:
         block.trigger = self.watch(block)
 
     def _state(self, now: float) -> tuple[float, float]:
-        """Return the distance done of the first block and the speed."""
+        """Return the completed distance of the first block, and the speed."""
         if not self.running or not self._phases:
             return self._done, self._speed
         for phase in self._phases:
             over = now >= phase.start_s + phase.duration_s
             if not over:
                 break
-        # At its end a phase is over, however little of it the clock can tell from its start.
+        # A phase is over at its end, even if the clock can hardly distinguish its end from its start.
         dt = phase.duration_s if over else now - phase.start_s
         dt = dt if dt > 0.0 else 0.0
         done = phase.done + phase.speed * dt + 0.5 * phase.acceleration * dt * dt
@@ -312,7 +312,7 @@ class Motion:
         return acceleration * self.limits.junction_deviation * sine_half / (1.0 - sine_half)
 
     def _replan(self, now: float) -> None:
-        """Choose the speeds at all borders: back from standstill at the end, then forward from the present speed."""
+        """Set the speeds at all borders: backwards from rest at the end, then forwards from the current speed."""
         self._advance(now)
         blocks = self.blocks
         if not blocks:
@@ -337,7 +337,7 @@ class Motion:
             self._profile(now)
 
     def _profile(self, now: float) -> None:
-        """Lay out the rest of the first block from the present speed as phases of constant acceleration."""
+        """Divide the rest of the first block, from the current speed, into phases of constant acceleration."""
         block = self.blocks[0]
         a, speed, left = block.acceleration, self._speed, block.length - self._done
         self._phases = []

@@ -1,4 +1,4 @@
-"""What the mock board's parser remembers between lines, and what a checked line holds."""
+"""State of the mock board's parser between lines, and the contents of a checked line."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class Modes:
 
 @dataclass(slots=True)
 class ParserState:
-    """What the parser remembers between lines; mm and mm/min."""
+    """State of the parser between lines; mm and mm/min."""
 
     modes: Modes = field(default_factory=Modes)
     position: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
@@ -62,10 +62,10 @@ class CheckedBlock:
     moves: bool = False
     target: list[float] = field(default_factory=list)
     place: list[float] = field(default_factory=list)
-    """For G10 the new offset, for G28 and G30 the stored position, for G92 the new offset."""
+    """New offset for G10 and G92, stored position for G28 and G30."""
     place_index: int = 0
     center: tuple[float, float] = (0.0, 0.0)
-    """Arc centre from the present position, along the plane's two axes."""
+    """Arc centre relative to the current position, along the plane's two axes."""
     radius: float = 0.0
     dwell_s: float = 0.0
     tool_length: float | None = None

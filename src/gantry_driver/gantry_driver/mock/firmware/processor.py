@@ -1,8 +1,8 @@
-"""The mock board's processor: power, reset and the main loop upon the interrupts.
+"""The mock board's processor: power, reset and the main loop, on top of the interrupts.
 
-The firmware's main loop is a generator. It yields None to wait for anything to happen (a byte, a real-time flag, the
-end of a move) or a time until which it is busy, so that what blocks in the firmware blocks here: a full planner, a
-dwell, half a second after each alarm, an EEPROM write. Interrupts act at their own times in between.
+The firmware's main loop is a generator. It yields None to wait for any event (a byte, a real-time flag, the end of a
+move), or a time until which it is busy. So it blocks where the firmware blocks: a full planner, a dwell, half a second
+after each alarm, an EEPROM write. Interrupts act at their own times in between.
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ from gantry_driver.mock.firmware.states import (
 
 LINE_CHARACTERS = 79  # the line buffer has 80, one of them for the end
 NEXT_TO_NOTHING = 1e-6
-"""Steps per mm or mm/s^2 in place of 0, by which the firmware would divide."""
+"""Value in steps per mm or mm/s^2 that replaces 0, by which the firmware would divide."""
 MAX_STEPS = 2**31 - 1
 
 
 class Processor(Interrupts):
-    """The board as far as its interrupts and its main loop go; see :class:`Interrupts` for what to call."""
+    """The interrupts and the main loop of the board; :class:`Interrupts` has the public methods."""
 
-    # ---- what the layers above do
+    # ---- implemented in the layers above
 
     @abstractmethod
     def _checkpoint(self) -> Firmware:
@@ -65,7 +65,7 @@ class Processor(Interrupts):
     # ---- power and reset
 
     def _clear(self) -> None:
-        """Forget everything volatile."""
+        """Clear all volatile state."""
         self._firmware = None
         self._resume_at = None
         self._stall_until = 0.0
@@ -85,7 +85,7 @@ class Processor(Interrupts):
         self._reset_variables()
 
     def _reset_variables(self) -> None:
-        """What a soft reset sets back as well."""
+        """Reset the variables that a soft reset also resets."""
         self._flags = set()
         self._alarm = None
         self._suspend = set()
@@ -98,7 +98,7 @@ class Processor(Interrupts):
         self._line = ""
         self._line_flags: set[str] = set()
         self._ring.clear()
-        self._probing = None
+        self._probing, self._probe_away = None, False
         self._probed_at = (0, 0, 0)
         self._probe_ok = False
         kept = self.parser
@@ -121,7 +121,7 @@ class Processor(Interrupts):
         self.mechanics.renumber((0, 0, 0))
 
     def _start_firmware(self) -> None:
-        locks = self.eeprom.flag(22) and self.options.dialect != "grblHAL"  # its lock is a bit of its own, 4
+        locks = self.eeprom.flag(22) and self.options.dialect != "grblHAL"  # its lock is a separate bit, 4
         self.state = State.ALARM if locks else State.IDLE
         self._booting = True
         self._firmware = self._main()
@@ -196,7 +196,7 @@ class Processor(Interrupts):
                 self._reading = False
 
     def _collect(self, byte: int) -> None:
-        """Strip blanks and comments while a line comes in."""
+        """Remove blanks and comments while a line arrives."""
         if self._line_flags:
             if byte == ord(")"):
                 self._line_flags.discard("parenthesis")

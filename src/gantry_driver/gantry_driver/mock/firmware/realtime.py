@@ -1,4 +1,4 @@
-"""What the mock board does on real-time bytes: holds, the door, overrides, and the status report for ``?``."""
+"""The mock board's reactions to real-time bytes: holds, the door, overrides, and the status report for ``?``."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ class RealTime(Processor):
             self._serve_start()
         if Flag.STOPPED in flags:
             self._serve_stopped()
-        # Each is a flag: what comes twice before it is served counts once, and their order is that of their numbers.
+        # Each is a flag: repeated requests count once, and flags are served in the order of their numbers.
         overrides, self._override_bytes = sorted(self._override_bytes), set()
         for byte in overrides:
             self._override(byte)
@@ -83,7 +83,7 @@ class RealTime(Processor):
         yield self.now + ALARM_DELAY_S
         if number in (ALARM_HARD, ALARM_SOFT):
             self._say(reports.RESET_HINT)
-            self._flags.discard(Flag.RESET)  # what came before the hint is swallowed
+            self._flags.discard(Flag.RESET)  # a reset before the hint is ignored
             while Flag.RESET not in self._flags:
                 yield None
         self._alarm = None
@@ -107,7 +107,7 @@ class RealTime(Processor):
                 if Suspend.JOG_CANCEL not in suspend and self.state is not State.SLEEP:
                     if self.state is State.DOOR and Suspend.RESTORE in suspend:
                         suspend -= {Suspend.RESTORE, Suspend.RESTORED}
-                        self._stop_tools()  # those that run again already; what is to be restored stays known
+                        self._stop_tools()  # those that already run again; the state to restore is kept
                     self.state = State.DOOR
                 suspend.add(Suspend.AJAR)
         if Flag.SLEEP in flags:
@@ -154,7 +154,7 @@ class RealTime(Processor):
             self.state = State.IDLE
 
     def _suspended(self) -> Firmware:
-        """One turn of the suspended main loop: the door's sequence (without parking)."""
+        """Run one turn of the suspended main loop: the door's sequence (without parking)."""
         suspend = self._suspend
         if self.state is State.DOOR and Suspend.HELD in suspend:
             m = self.mechanics
@@ -253,7 +253,7 @@ class RealTime(Processor):
         return [system[i] + p.g92[i] + (p.tool_length if i == 2 else 0.0) for i in range(3)]
 
     def status(self) -> str:
-        """Return the report that ``?`` asks for, and count down to the fields that come now and then."""
+        """Return the report for ``?``, and count down to the fields that it has only from time to time."""
         mask, inches = int(self.eeprom.values[10]), self.eeprom.flag(13)
         position = self._mm(self.motion.position(self.now))
         offset = self._work_offset()
@@ -266,7 +266,7 @@ class RealTime(Processor):
             fields.append(f"Bf:{self.motion.room},{self.options.rx_bytes - len(self._ring)}")
         feed = self.motion.speed(self.now) * 60.0 if self.state in BUSY else 0.0
         fields.append(f"FS:{reports.rate(feed, inches)},{reports.speed(self.mechanics.spindle_rpm)}")
-        pins = self.mechanics.pins()
+        pins = self.mechanics.pins(self._probe_triggered())
         if pins:
             fields.append("Pn:" + pins)
         busy = self.state in BUSY

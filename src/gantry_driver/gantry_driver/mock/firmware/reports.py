@@ -1,4 +1,4 @@
-"""Texts that the mock board sends, in the forms of GRBL 1.1's interface document (doc/markdown/interface.md)."""
+"""Texts of the mock board, in the formats of GRBL 1.1's interface document (doc/markdown/interface.md)."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ from gantry_driver.mock.firmware.floats import print_number
 from gantry_driver.mock.firmware.parser_state import ParserState
 from gantry_driver.mock.settings import Eeprom, shown
 
-INCH_PER_MM = 0.0393701  # as nuts_bolts.h has it
+INCH_PER_MM = 0.0393701  # from nuts_bolts.h
 BANNERS = {
     "GRBL": "\r\nGrbl 1.1h ['$' for help]",
     "grblHAL": "\r\nGrblHAL 1.1f ['$' or '$HELP' for help]",
     "FluidNC": "\r\nGrbl 3.7 [FluidNC v3.7.8 (wifi) '$' for help]",
 }
 MACROS = {f"MACROS{name.upper()}": f"$/macros/{name}=" for name in ("startup_line0", "startup_line1", "after_reset")}
-"""FluidNC's answers in place of ``$N``, which it has no more, by the questions as this parser collects them."""
+"""FluidNC's answers to the queries that replace ``$N``, by the queries as this parser collects them."""
 FLUIDNC_SETTINGS = (10, 20, 21, 22, 23, 30, 32, *(base + axis for base in (100, 110, 120, 130) for axis in range(3)))
-"""All that FluidNC tells of its config file by number."""
+"""Settings of its config file that FluidNC reports by number."""
 HELP = "[HLP:$$ $# $G $I $N $x=val $Nx=line $J=line $SLP $C $X $H ~ ! ? ctrl-x]"
 UNLOCK_HINT = "[MSG:'$H'|'$X' to unlock]"
 RESET_HINT = "[MSG:Reset to continue]"
@@ -28,19 +28,19 @@ PROGRAM_END, SLEEPING, RESTORING = "[MSG:Pgm End]", "[MSG:Sleeping]", "[MSG:Rest
 
 
 def coordinates(values_mm: Sequence[float], inches: bool) -> str:
-    """Return coordinates as reports have them: three decimals in mm, four in inches."""
+    """Return coordinates in the format of reports: three decimals in mm, four in inches."""
     if inches:
         return ",".join(print_number(v * INCH_PER_MM, 4) for v in values_mm)
     return ",".join(print_number(v, 3) for v in values_mm)
 
 
 def rate(mm_per_min: float, inches: bool) -> str:
-    """Return a feed rate as reports have it."""
+    """Return a feed rate in the format of reports."""
     return print_number(mm_per_min * INCH_PER_MM, 1) if inches else print_number(mm_per_min, 0)
 
 
 def speed(rpm: float) -> str:
-    """Return a spindle's speed as reports have it."""
+    """Return a spindle's speed in the format of reports."""
     return print_number(rpm, 0)
 
 

@@ -35,7 +35,7 @@ BUSY = frozenset({State.HOME, State.RUN, State.HOLD, State.JOG, State.DOOR})
 class Flag(Enum):
     """Real-time requests that wait for the main loop."""
 
-    __hash__ = object.__hash__  # members are alone of their kind; Enum's own hash is several times slower
+    __hash__ = object.__hash__  # members are singletons; Enum's own hash is several times slower
 
     RESET = auto()
     STATUS = auto()
@@ -50,7 +50,7 @@ class Flag(Enum):
 class Suspend(Enum):
     """Why the main loop is suspended, and how far the door's sequence has come."""
 
-    __hash__ = object.__hash__  # members are alone of their kind; Enum's own hash is several times slower
+    __hash__ = object.__hash__  # members are singletons; Enum's own hash is several times slower
 
     HELD = auto()
     JOG_CANCEL = auto()

@@ -1,4 +1,4 @@
-"""A line of the mock board's parser cut into its words."""
+"""Division of a line into its words for the mock board's parser."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ LETTER, NUMBER = 1, 2
 
 
 class GcodeError(Exception):
-    """The line is refused with ``error:number``."""
+    """The line is rejected with ``error:number``."""
 
     def __init__(self, number: int) -> None:
         super().__init__(f"error:{number}")
@@ -18,7 +18,7 @@ class GcodeError(Exception):
 
 
 def split_words(text: str) -> Iterator[tuple[str, float]]:
-    """Yield the words of a line (capitals, no blanks) as they are read: a bad one after a conflict is never seen."""
+    """Yield the words of a line (capitals, no blanks) as they are read: a bad word after a conflict is never read."""
     index = 0
     while index < len(text):
         letter = text[index]

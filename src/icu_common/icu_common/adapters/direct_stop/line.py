@@ -1,4 +1,4 @@
-"""The socket on which a machine's guard receives stops, whatever the graph does.
+"""Socket on which a machine's guard receives stops, independent of the graph.
 
 Its name follows from the ROS domain and the resolved name of the machine's topic ``stop_request``, so a publisher of
 that topic finds the socket without a parameter.
@@ -40,7 +40,7 @@ def stop_path(domain: int, topic: str) -> Path:
 
 
 def open_stop_socket(path: Path) -> socket.socket:
-    """Return a non-blocking socket that receives stops; it replaces one that a killed program has left.
+    """Return a non-blocking socket that receives stops; it replaces a socket that a killed program has left behind.
 
     Raises
     ------

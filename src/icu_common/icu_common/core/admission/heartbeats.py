@@ -1,6 +1,6 @@
 """Sources of the operator's heartbeat; pure, no clock.
 
-The page and the command-line programs may send heartbeats side by side: a person presses from a terminal while the
+The page and the command-line programs may send heartbeats at the same time: a person presses from a terminal while the
 page is open. Their heartbeats name the sender in ``frame_id``. A page on which no operator has control sends none and
 does not count. Any other program is a stranger and must be the only sender.
 """
@@ -24,7 +24,7 @@ class HeartbeatSources:
     Attributes
     ----------
     programs
-        Names of nodes, without namespace, separated by spaces, that may send heartbeats side by side.
+        Names of nodes, without namespace, separated by spaces, that may send heartbeats at the same time.
     """
 
     def __init__(self, programs: str) -> None:
@@ -33,7 +33,7 @@ class HeartbeatSources:
         self._now_s = -math.inf
 
     def heard(self, sender: str, now_s: float) -> bool:
-        """Note a heartbeat; return whether its sender is one of the programs and has just started to send."""
+        """Record a heartbeat; return whether its sender is one of the programs and has just started to send."""
         self._now_s = now_s
         if not self._is_own(sender):
             return False
@@ -46,7 +46,7 @@ class HeartbeatSources:
         return [name for name in names if not self._is_own(name) or self._sends(name)]
 
     def judge(self, topic: str, names: Collection[str]) -> str:
-        """Return the fault of the sources, a stranger among others; empty if there is none."""
+        """Return the fault of the sources: a stranger among others; empty if there is none."""
         senders = self.senders(names)
         return "" if all(self._is_own(name) for name in senders) else rivals_text(topic, senders)
 

@@ -11,7 +11,7 @@ class RivalTopics:
         self._held_for = ""
 
     def take(self, topic: str, text: str) -> bool:
-        """Note the programs that publish a topic (empty: only one does); return whether the machine must be stopped."""
+        """Record the programs that publish a topic (empty: only one); return whether the machine must be stopped."""
         if not text:
             self._texts.pop(topic, None)
             return False

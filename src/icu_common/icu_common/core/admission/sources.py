@@ -1,4 +1,4 @@
-"""Programs that publish a topic for one source; pure, no clock.
+"""Programs that publish a topic with only one allowed source; pure, no clock.
 
 A killed program stays in the graph until its lease ends (10 s by the graph's profile). Its successor has the same name
 and another process, so both are in the graph for a while. A source whose process has ended does not count, so they are
@@ -40,7 +40,7 @@ class Found:
     unnamed
         Whether the name of a source is about to become known.
     undecided
-        Whether another look soon may give another result.
+        Whether a repeated query may soon give another result.
     """
 
     names: tuple[str, ...] = ()

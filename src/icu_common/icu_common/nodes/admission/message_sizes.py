@@ -46,8 +46,9 @@ MAX_BYTES: dict[Any, int] = {
 }
 """Limit of each type in bytes: several times the largest message of the graph.
 
-Header to TransformStamped hold a frame's name. A panel of 100 controls needs 25 kB as DiagnosticArray and 60 kB as
-MarkerArray. A String may be a sequence or the request to teach a panel. A trajectory of 10,000 points has 0.9 MB.
+The types from Header to TransformStamped hold a frame's name. A panel of 100 controls needs 25 kB as DiagnosticArray
+and 60 kB as MarkerArray. A String may be a sequence or the request to teach a panel. A trajectory of 10,000 points has
+0.9 MB.
 """
 
 

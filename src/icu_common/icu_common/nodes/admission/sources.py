@@ -1,6 +1,6 @@
 """Watch the sources of the topics that a node trusts.
 
-The middleware reports each match of a subscription with a publisher (``matched`` of rclpy's subscription events). Only
+The middleware reports each match of a subscription and a publisher (``matched`` of rclpy's subscription events). Only
 then the watch queries the graph, so a graph at rest costs nothing. While a source is undecided, or a topic has two
 sources, a timer of the wall clock repeats the query. rclpy 7.1 does not report the sender of a message, so a topic is
 trusted or distrusted as a whole.
@@ -19,9 +19,13 @@ from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.subscription import Subscription
 from rclpy.topic_endpoint_info import TopicEndpointInfo
+from rosgraph_msgs.msg import Clock as ClockMessage
 
-from icu_common.adapters.process_identity import ParticipantProcesses
+from icu_common.adapters.processes.process_identity import ParticipantProcesses
 from icu_common.core.admission.sources import Source, TopicSources, rivals_text
+from icu_common.nodes.graph_node import CLOCK_TOPIC
+from icu_common.nodes.qos import SENSOR
+from icu_common.nodes.timers import runs_by_clock_topic
 
 LOOK_AGAIN_S = 0.1
 PREFIX_BYTES = 12
@@ -41,7 +45,7 @@ class _Watched:
     text: str = ""
     undecided: bool = False
     names_of: dict[bytes, str] = field(default_factory=dict)
-    """Last known name of each publisher: of one that ends, the graph forgets the name before the publisher."""
+    """Last known name of each publisher: the graph forgets an ending publisher's name before the publisher itself."""
 
 
 class SourceWatch:
@@ -52,7 +56,7 @@ class SourceWatch:
     node
         Owner of the watched subscriptions.
     on_change
-        Called with a topic's name as it was subscribed to, and the fault of its sources, empty when it has ended.
+        Called with a topic's name as used to subscribe, and the fault of its sources, empty when it has ended.
     """
 
     def __init__(self, node: Node, on_change: Callable[[str, str], None]) -> None:
@@ -77,6 +81,12 @@ class SourceWatch:
         self._watched[topic] = _Watched(made, judge, TopicSources(self._processes.is_alive))
         self.look(topic)
         return made
+
+    def watch_clock(self) -> None:
+        """Watch the sources of the graph's time, if the node follows it: a second source would age all fresh data."""
+        if runs_by_clock_topic(self._node):
+            # The node's own subscription belongs to rclpy, which does not report its matches.
+            self.subscribe(ClockMessage, CLOCK_TOPIC, lambda _: None, SENSOR, raw=True)
 
     def names(self, topic: str) -> tuple[str, ...]:
         """Return the full names of a topic's sources at the last query."""

@@ -1,1 +1,1 @@
-"""Bag files: readers of foreign bags, and writers of bags in several files."""
+"""Bag files: one reader and one writer for all forms (``bags``), readers of foreign bags, repair, sink and images."""

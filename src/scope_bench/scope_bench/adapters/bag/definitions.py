@@ -79,13 +79,15 @@ def decode(types: Typestore, data: bytes, kind: str) -> Any:
 def hash_of(kind: str, definition: MessageDefinition) -> str:
     """Return the hash of a definition, "" if it is empty or invalid.
 
-    rosbags reads ``char`` as ``uint8``, which has the same bytes and another hash.
+    A recorder that does not find a definition writes an empty text, as that of std_msgs/Empty is. rosbags reads
+    ``char`` as ``uint8``, which has the same bytes and another hash.
     """
-    if definition.format is not MessageDefinitionFormat.MSG or _CHAR.search(definition.data):
+    text = definition.data
+    if definition.format is not MessageDefinitionFormat.MSG or not text.strip() or _CHAR.search(text):
         return ""
     types = get_typestore(Stores.EMPTY)
     try:
-        types.register(get_types_from_msg(definition.data, kind))
+        types.register(get_types_from_msg(text, kind))
         return types.hash_rihs01(kind)
     except (TypesysError, KeyError, RecursionError, AssertionError):
         return ""

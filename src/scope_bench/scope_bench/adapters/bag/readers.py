@@ -12,14 +12,17 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
+import numpy as np
 from rosbags.interfaces import Connection, ConnectionExtRosbag2, MessageDefinitionFormat
 from rosbags.rosbag2 import Reader
 from rosbags.rosbag2.reader import DirectoryReader
 from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
 
+from scope_bench.adapters.bag.mcap_reader import IndexedMcapReader, Times
+
 
 def in_uri(path: Path) -> Path:
-    """Return a path escaped for the URI by which rosbags opens sqlite: ``#``, ``?`` and ``%`` have a meaning there."""
+    """Return a path escaped for the URI with which rosbags opens sqlite: ``#``, ``?`` and ``%`` are special there."""
     return Path(quote(os.fsencode(path)))
 
 
@@ -28,6 +31,15 @@ class UriSqlite3Reader(Sqlite3Reader):
 
     def __init__(self, path: Path) -> None:
         super().__init__(in_uri(path))
+
+    def times(self) -> dict[int, Times]:
+        """Return the times of all messages in ns, sorted, by the id of their connection; no message is read."""
+        assert self.dbconn
+        found: dict[int, Times] = {}
+        for connection in self.connections:
+            rows = self.dbconn.execute("SELECT timestamp FROM messages WHERE topic_id = ?", (connection.id,))
+            found[connection.id] = np.sort(np.fromiter((time_ns for (time_ns,) in rows), np.int64))
+        return found
 
 
 class JoinedDirectoryReader(DirectoryReader):
@@ -39,7 +51,7 @@ class JoinedDirectoryReader(DirectoryReader):
         Messages that metadata.yaml announces, by topic and type.
     """
 
-    STORAGE_PLUGINS = {**DirectoryReader.STORAGE_PLUGINS, "sqlite3": UriSqlite3Reader}  # noqa: RUF012
+    STORAGE_PLUGINS = {**DirectoryReader.STORAGE_PLUGINS, "sqlite3": UriSqlite3Reader, "mcap": IndexedMcapReader}  # noqa: RUF012
 
     def open(self) -> None:
         """Open the files, and read counts and times from them."""
@@ -110,6 +122,7 @@ class BagFileReader(Reader):
         **Reader.STORAGE_PLUGINS,
         "dir": JoinedDirectoryReader,
         ".db3": UriSqlite3Reader,
+        ".mcap": IndexedMcapReader,
     }
 
     @property
@@ -117,3 +130,13 @@ class BagFileReader(Reader):
         """Messages that metadata.yaml announces, by topic and type; empty for a single file."""
         storage: Any = self.storage
         return dict(storage.announced) if isinstance(storage, JoinedDirectoryReader) else {}
+
+    def times(self) -> dict[str, Times]:
+        """Return the times of all messages in ns, sorted, by topic; message contents are not read."""
+        storages: Any = self.storage.storages if isinstance(self.storage, JoinedDirectoryReader) else [self.storage]
+        found: dict[str, list[Times]] = {}
+        for storage in storages:
+            times = storage.times()
+            for connection in storage.connections:
+                found.setdefault(connection.topic, []).append(times[connection.id])
+        return {topic: np.sort(np.concatenate(parts)) for topic, parts in found.items()}

@@ -6,8 +6,8 @@ import shutil
 from collections.abc import Collection, Mapping
 from pathlib import Path
 
-from icu_common.core.text_bounds import plain
-from scope_bench.adapters.bags import BagReader, BagTopic, BagWriter
+from icu_common.core.configuration.text_bounds import plain
+from scope_bench.adapters.bag.bags import BagReader, BagTopic, BagWriter
 from scope_bench.core.check.comparison import Message, TopicMessages
 from scope_bench.core.check.values import Kind, Value, stamp_ns, values_of
 

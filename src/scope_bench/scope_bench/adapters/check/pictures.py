@@ -1,4 +1,4 @@
-"""Pictures of what differs: images next to each other, and the points of clouds over the image they come from."""
+"""Pictures of differences: images next to each other, and the points of clouds over their source image."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from typing import Any
 import cv2
 import numpy as np
 
-from icu_common.core.geometry import Array
-from scope_bench.adapters.bag_pictures import COMPRESSED, IMAGE, PictureCodec
-from scope_bench.adapters.bags import BagReader
+from icu_common.core.geometry.geometry import Array
+from scope_bench.adapters.bag.bag_pictures import COMPRESSED, IMAGE, PictureCodec
+from scope_bench.adapters.bag.bags import BagReader
 from scope_bench.core.check.comparison import Message, Row, TopicMessages
 from scope_bench.core.check.values import PIXELS, Kind, Value, columns, coordinates, stamp_ns, values_of
 

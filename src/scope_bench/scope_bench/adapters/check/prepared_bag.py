@@ -11,19 +11,14 @@ import yaml
 from rosbags.convert import ConverterError, convert
 from rosbags.typesys import Stores, get_typestore
 
-from icu_common.core.yaml_text import UNREADABLE, ForeignLoader, mistake
-from scope_bench.adapters.bag_pictures import COMPRESSED, IMAGE, SUFFIX
-from scope_bench.adapters.bags import BagError, BagReader, BagTopic, BagWriter
+from icu_common.core.configuration.yaml_text import UNREADABLE, ForeignLoader, mistake
+from scope_bench.adapters.bag.bag_pictures import COMPRESSED, IMAGE, SUFFIX
+from scope_bench.adapters.bag.bags import BagError, BagReader, BagTopic, BagWriter
 from scope_bench.core.check.expectation import Run
 
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
 SIDES = ("left", "right")
 _TYPES = get_typestore(Stores.ROS2_JAZZY)
-
-
-def is_ros1(bag: Path) -> bool:
-    """Return whether a path is a ROS 1 bag."""
-    return bag.is_file() and bag.suffix == ".bag"
 
 
 def converted(bag: Path, folder: Path) -> Path:
@@ -57,7 +52,7 @@ def prepared(bag: Path, run: Run, folder: Path, calibrations: Path) -> Path:
     Raises
     ------
     BagError
-        If a topic or a calibration is not there or is of no use.
+        If a topic or a calibration is missing or unusable.
     """
     if not (run.left or run.right or run.camera_info):
         return bag

@@ -15,8 +15,9 @@ from pathlib import Path
 
 import numpy as np
 
-from icu_common.adapters.step_ledger import LEDGER_VARIABLE, StepLedger, ledger_path
-from scope_bench.adapters.graph_names import hold
+from icu_common.adapters.processes.process_identity import is_alive
+from icu_common.adapters.steps.step_ledger import LEDGER_VARIABLE, StepLedger, ledger_path
+from scope_bench.adapters.graph_names import hold, is_held
 from scope_bench.core.check.expectation import Run
 
 DOMAINS = range(40, 100)
@@ -41,12 +42,22 @@ class Topics:
     published: frozenset[str]
 
 
+@dataclass(frozen=True, slots=True)
+class Played:
+    """Bag with the results of a replay, and seconds from the first played message to the results of the last one."""
+
+    results: Path
+    playing_s: float
+
+
 class ReplayError(Exception):
-    """A replay could not run; the text says why."""
+    """A replay could not run; the text states the reason."""
 
 
 def free_domain() -> int:
-    """Return a ROS domain that no other replay on this computer uses, until this process ends.
+    """Return a ROS domain that no other replay or graph on this computer uses, until this process ends.
+
+    The graph of a replay whose bag_check was killed continues for a while.
 
     Raises
     ------
@@ -54,7 +65,7 @@ def free_domain() -> int:
         If there is none.
     """
     for domain in DOMAINS:
-        if hold(f"replay/{domain}"):
+        if not is_held(f"{domain}/") and hold(f"replay/{domain}"):
             return domain
     raise ReplayError(f"replays run in ROS domains {DOMAINS[0]} to {DOMAINS[-1]}: end one of them")
 
@@ -65,7 +76,7 @@ class Replay:
     Parameters
     ----------
     folder
-        For the logs and the recorded results.
+        Folder of the logs and the recorded results.
     domain
         Its ROS domain.
     run
@@ -97,7 +108,7 @@ class Replay:
         self._graph = self._start("bring_up", arguments, self._log)
 
     def _start(self, program: str, arguments: Sequence[str], log: Path) -> subprocess.Popen[bytes]:
-        # Bring-up finds the programs of the other packages from where it is installed.
+        # Bring-up finds the programs of the other packages relative to its own installation.
         with log.open("wb") as output:
             return subprocess.Popen(
                 [str(Path(sys.argv[0]).resolve().with_name(program)), *arguments],
@@ -105,7 +116,7 @@ class Replay:
                 stdin=subprocess.DEVNULL,
                 stdout=output,
                 stderr=subprocess.STDOUT,
-                start_new_session=True,  # Ctrl-C is for this program, which ends them in order
+                start_new_session=True,  # only this program reacts to Ctrl-C, and ends the others in order
             )
 
     def wait_until_started(self, stop: threading.Event) -> Topics:
@@ -114,7 +125,7 @@ class Replay:
         Raises
         ------
         ReplayError
-            If one ends, or they are not there in time.
+            If a program ends, or they are not ready in time.
         """
         found: list[Topics] = []
 
@@ -134,8 +145,8 @@ class Replay:
         stop: threading.Event,
         *,
         rate: float = FASTEST,
-    ) -> Path:
-        """Play topics of a bag, record the results, and return the bag with them.
+    ) -> Played:
+        """Play topics of a bag and record the results.
 
         Parameters
         ----------
@@ -161,20 +172,29 @@ class Replay:
             arguments += ["--moving"] if self._run.moving else []
             arguments += ["--duration", f"{self._run.duration_s:g}"] if self._run.duration_s else []
             player = self._start("bag_play", arguments, self.folder / "play.log")
+            begun_s: float | None = None
             try:
                 while player.poll() is None:
                     self._check(stop)
+                    if begun_s is None and self._has_begun(topics):
+                        begun_s = time.monotonic()
                     with contextlib.suppress(subprocess.TimeoutExpired):
                         player.wait(_LOOK_S)
             finally:
                 _end(player)
+            playing_s = 0.0 if begun_s is None else time.monotonic() - begun_s
             if player.returncode:
                 raise ReplayError(f"bag_play ended with {player.returncode}: {last_line(self.folder / 'play.log')}")
         finally:
             code = _end(recorder)
         if code:
             raise ReplayError(f"bag_record ended with {code}: {last_line(self.folder / 'record.log')}")
-        return out
+        return Played(out, playing_s)
+
+    def _has_begun(self, topics: Sequence[str]) -> bool:
+        """Return whether a node has finished a message of these topics."""
+        with self._counts() as ledger:
+            return ledger is not None and any(ledger.finished(name) for name in {*topics} & {*ledger.topics()})
 
     def _check(self, stop: threading.Event) -> None:
         if stop.is_set():
@@ -203,11 +223,12 @@ class Replay:
         with self._counts() as ledger:
             if ledger is None:
                 return None
-            rows, names = list(ledger.processes()), np.array(ledger.topics())
+            rows = [row for row, process in ledger.processes().items() if is_alive(process)]
+            # A program writes the matches of its publishers one by one, after it has begun to serve callbacks.
+            if len(rows) < self._count or not all(ledger.is_shown(row) for row in rows):
+                return None
+            names = np.array(ledger.topics())
             _, subscriptions, matched = ledger.by_process()
-        # A program writes what its publishers have found once it serves callbacks, and then of all of them.
-        if len(rows) < self._count or not matched[rows].any(axis=1).all():
-            return None
         read, published = (names[table[rows].any(axis=0)].tolist() for table in (subscriptions, matched))
         return Topics(read=frozenset(read), published=frozenset(published) - {*NOT_COMPARED})
 
@@ -241,7 +262,7 @@ class Replay:
 
 
 def _end(process: subprocess.Popen[bytes]) -> int:
-    """End a program as Ctrl-C does, or kill it when that takes too long; return its exit code."""
+    """End a program as Ctrl-C does, or kill it if that takes too long; return its exit code."""
     if process.poll() is None:
         process.send_signal(signal.SIGINT)
         try:
@@ -253,7 +274,7 @@ def _end(process: subprocess.Popen[bytes]) -> int:
 
 
 def last_line(log: Path) -> str:
-    """Return the last line of a log that is not empty, of error lines if there are any."""
+    """Return the last non-empty line of a log; if it has error lines, the last of these."""
     lines = [line for line in log.read_text(encoding="utf-8", errors="replace").splitlines() if line.strip()]
     errors = [line for line in lines if "error" in line.lower() or line.startswith("missing:")]
     return (errors or lines or ["no output"])[-1].strip()

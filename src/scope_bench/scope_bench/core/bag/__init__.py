@@ -1,1 +1,1 @@
-"""Pure rules of playback and recording: missing messages, and the choice of dropped ones."""
+"""Rules of playback and recording: missing messages, the choice of dropped ones, the clock, and MCAP records."""

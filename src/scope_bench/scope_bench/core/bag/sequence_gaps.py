@@ -16,7 +16,7 @@ class _Publisher:
 class SequenceGaps:
     """Sequence numbers of one topic's messages; each publisher counts from 1.
 
-    A message does not name its publisher. With one publisher the count is exact; among several a number belongs to the
+    A message does not name its publisher. With one publisher the count is exact; with several, a number belongs to the
     publisher whose last number is nearest below it.
     """
 

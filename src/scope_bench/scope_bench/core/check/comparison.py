@@ -47,17 +47,17 @@ class Row:
     Attributes
     ----------
     topic, field
-        What is compared; the field ``messages`` is their number.
+        Compared topic and field; the field ``messages`` is the message count.
     compared, differing
         Number of messages, and of those outside the limits.
     amount
         The largest difference, in the unit of its limit; infinite where two values cannot be compared.
     at
-        Stamp in ns (or index, without stamps) of the message with it.
+        Stamp in ns (or index, without stamps) of the message with the largest difference.
     expected, found
         The two values there.
     limits
-        What is allowed.
+        Allowed difference.
     why
         Reason of the tolerance.
     """
@@ -125,9 +125,9 @@ def _count_row(name: str, topic: TopicExpectation, new: TopicMessages) -> Row:
 
 
 def matched(old: Sequence[Message], new: Sequence[Message], every: int = 1) -> list[tuple[Message, Message | None]]:
-    """Return each expected message with the one found for it: of the same stamp, or in the same place without stamps.
+    """Return each expected message with the matching one: of equal stamp, or of equal position without stamps.
 
-    ``every`` is of the expected messages, of which only each ``every``-th was kept.
+    Only each ``every``-th of the expected messages was kept.
     """
     if old and all(m.stamp_ns for m in old) and len({m.stamp_ns for m in old}) == len(old):
         by_stamp = {m.stamp_ns: m for m in new}

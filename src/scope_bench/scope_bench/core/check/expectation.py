@@ -1,4 +1,4 @@
-"""An expectation: what a replay of a bag must give, and how it is run; read from and written as YAML.
+"""An expectation: the required results of a replay, and how it is run; read from and written as YAML.
 
 The expected messages are in a bag next to the file.
 """
@@ -11,7 +11,7 @@ from typing import Any
 
 import yaml
 
-from icu_common.core.yaml_text import UNREADABLE, ForeignLoader, mistake
+from icu_common.core.configuration.yaml_text import UNREADABLE, ForeignLoader, mistake
 from scope_bench.core.check.tolerances import Tolerance, tolerance_of
 
 VERSION = 1
@@ -75,7 +75,7 @@ class TopicExpectation:
     missing
         Allowed difference of this number.
     every
-        Interval of the messages that are kept and compared: 12 is each twelfth one.
+        Interval of the messages that are kept and compared: 12 means each twelfth message.
     fields
         Tolerances by path.
     """
@@ -146,7 +146,7 @@ def from_yaml(text: str) -> Expectation:
     Raises
     ------
     ValueError
-        With the place and the reason, if it has not the form that :func:`to_yaml` writes.
+        With position and reason, if the text does not have the form that :func:`to_yaml` writes.
     """
     try:
         document = yaml.load(text, _Loader)

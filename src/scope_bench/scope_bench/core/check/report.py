@@ -40,7 +40,7 @@ def verdict(bag: str, rows: Sequence[Row]) -> str:
 
 
 def markdown(bag: str, rows: Sequence[Row], pictures: Sequence[str] = ()) -> str:
-    """Return a summary for a pull request; ``pictures`` are paths beside it."""
+    """Return a summary for a pull request; ``pictures`` are paths relative to it."""
     bad = [row for row in rows if not row.passed]
     lines = [f"### {'✅' if not bad else '❌'} {verdict(bag, rows)}", ""]
     if bad:
@@ -99,7 +99,7 @@ def _document(suite: ElementTree.Element) -> str:
 
 
 def as_json(rows: Sequence[Row]) -> list[dict[str, Any]]:
-    """Return the rows for JSON, which has no infinity: null is for a difference without a size."""
+    """Return the rows for JSON, which has no infinity: null means a difference without a size."""
     return [
         {**asdict(row), "amount": None if math.isinf(row.amount) else row.amount, "passed": row.passed} for row in rows
     ]

@@ -1,4 +1,4 @@
-"""How far two values are apart, and how far they may be."""
+"""Differences between two values, and their limits."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from icu_common.core.geometry import Array
+from icu_common.core.geometry.geometry import Array
 from scope_bench.core.check.values import PIXELS, Kind, Value, columns, coordinates
 
 NEAREST_PERCENT = 90.0
@@ -25,9 +25,9 @@ LIMITS = {
 }
 """Names of the limits of each kind.
 
-``absolute`` is in the field's unit, ``relative`` a part of the expected value; ``mean`` is that of the absolute
-differences of pixels; ``distance`` between nearest points is in the unit of their coordinates, ``count`` a part of the
-expected number of points. A text must be the same.
+``absolute`` is in the field's unit, ``relative`` a part of the expected value. ``mean`` is the mean absolute difference
+of pixels. ``distance`` between nearest points is in the unit of their coordinates, ``count`` a part of the expected
+number of points. A text must be the same.
 """
 FLOORS: dict[str, float] = {
     "absolute": 1e-6,
@@ -37,9 +37,18 @@ FLOORS: dict[str, float] = {
     "distance": 1e-3,
     "count": 0.02,
 }
-"""Least limits of a new expectation: other processors and versions of libraries round differently."""
-LENGTH_FLOOR_M, TIME_FLOOR_S, PIXEL_FLOOR = 1e-4, 1e-3, 0.05
-"""Least limits of positions (metres, REP 103), of times, and of points in an image."""
+"""Minimum limits of a new expectation: other processors and library versions round differently."""
+LENGTH_FLOOR_M, PIXEL_FLOOR = 1e-4, 0.05
+"""Minimum limits of positions (metres, REP 103), and of points in an image."""
+UNIT_FLOORS = {
+    "_m": LENGTH_FLOOR_M,
+    "_mm": 1e3 * LENGTH_FLOOR_M,
+    "_deg": FLOORS["angle_deg"],
+    "_px": PIXEL_FLOOR,
+    "_s": 1e-3,
+    "_ns": 1e6,
+}
+"""Minimum limits of numbers, by the unit at the end of a field's name."""
 _OF_REPEATS = 3.0
 """Part of the limit for the largest difference between repeated runs."""
 _LENGTHS = (".position.", ".translation.", ".point.")
@@ -66,7 +75,7 @@ class Tolerance:
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """How far two values are apart: an amount by each limit's name; infinite where they cannot be compared."""
+    """Difference between two values: an amount for each limit's name; infinite if they cannot be compared."""
 
     amounts: dict[str, float]
 
@@ -81,12 +90,12 @@ class Difference:
 
     @property
     def size(self) -> float:
-        """Largest amount, to find the worst of several differences by."""
+        """Largest amount, for finding the worst of several differences."""
         return max(self.amounts.values(), default=0.0)
 
 
 def difference(old: Value, new: Value, tolerance: Tolerance) -> Difference:
-    """Return how far a value is from the expected one; of numbers what ``relative`` leaves over."""
+    """Return the difference from the expected value; for numbers, the part that ``relative`` does not cover."""
     if old.kind is not new.kind:
         return Difference({"kind": math.inf})
     match old.kind:
@@ -184,17 +193,15 @@ def tolerance_for(path: str, value: Value, repeats: Mapping[str, float], runs: i
 
 
 def _floors(path: str, value: Value) -> dict[str, float]:
-    """Return the least limits of a field; names of fields have their unit, as ``error_m``."""
+    """Return the minimum limits of a field; field names contain their unit, such as ``error_m``."""
     floors = {name: FLOORS[name] for name in LIMITS[value.kind]}
     if value.kind is Kind.CLOUD and coordinates(value) == PIXELS:
         return {**floors, "distance": PIXEL_FLOOR}
     if value.kind is Kind.NUMBER:
-        if path.endswith("_m") or any(part in f".{path}" for part in _LENGTHS):
+        if any(part in f".{path}" for part in _LENGTHS):
             return {"absolute": LENGTH_FLOOR_M}
-        if path.endswith("_s"):
-            return {"absolute": TIME_FLOOR_S}
-        if path.endswith("_ns"):
-            return {"absolute": TIME_FLOOR_S * 1e9}
+        if (floor := UNIT_FLOORS.get(path[path.rfind("_") :])) is not None:
+            return {"absolute": floor}
     return floors
 
 

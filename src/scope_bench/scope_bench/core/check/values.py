@@ -1,6 +1,6 @@
 """Values of a decoded message, by path: numbers, rotations, texts, images and point clouds.
 
-Messages are objects of rosbags: dataclasses with ``__msgtype__``. Paths are those of ``ros2 topic echo``, as
+Messages are objects of rosbags: dataclasses with ``__msgtype__``. Paths are those of ``ros2 topic echo``, such as
 ``pose.position.x``; an element of an array of messages has its index, ``markers[3].pose.position.x``, and a
 diagnostic_msgs/KeyValue its key, ``status[0].values.error_m``.
 """
@@ -16,7 +16,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from icu_common.core.geometry import Array
+from icu_common.core.geometry.geometry import Array
 
 STAMP = "header.stamp"
 _TYPES = {
@@ -32,7 +32,7 @@ _POINTS = {
     **dict.fromkeys([f"geometry_msgs/msg/{name}" for name in ("Point", "Point32", "Vector3")], "xyz"),
     "std_msgs/msg/ColorRGBA": "rgba",
 }
-"""Fields of messages of which an array is one value: a marker may have thousands of points."""
+"""Message fields whose array is one value: a marker may have thousands of points."""
 _POINT_TYPES = ("", "i1", "u1", "i2", "u2", "i4", "u4", "f4", "f8")
 """numpy's name of each datatype of sensor_msgs/PointField."""
 
@@ -54,7 +54,7 @@ class Value:
     Attributes
     ----------
     kind
-        What it is.
+        Kind of the value.
     data
         Numbers as (N,) float64; a rotation as (4,) x, y, z, w; an image as (H, W) or (H, W, C); the points of a cloud
         as (N, F) float64; an empty array for a text.
@@ -155,7 +155,7 @@ def _numbers(values: Any) -> Value:
 
 
 def _text(text: str) -> Value:
-    """Return a text; one of numbers alone, as diagnostics have them, is those numbers."""
+    """Return a text value; a text of numbers only, as in diagnostics, becomes these numbers."""
     try:
         numbers = [float(part) for part in text.split()]
     except ValueError:
@@ -164,7 +164,7 @@ def _text(text: str) -> Value:
 
 
 def _unpacked(image: Any) -> Array:
-    """Return the pixels of a compressed image, none of an empty or broken one."""
+    """Return the pixels of a compressed image, none for an empty or broken image."""
     pixels = cv2.imdecode(np.asarray(image.data, np.uint8), cv2.IMREAD_UNCHANGED) if len(image.data) else None
     return np.zeros((0, 0)) if pixels is None else np.asarray(pixels)
 

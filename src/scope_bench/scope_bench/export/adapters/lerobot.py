@@ -1,7 +1,7 @@
 """LeRobot's dataset form, version 3.0 (huggingface/lerobot, ``lerobot.datasets``): an episode for each answered goal.
 
-Images are inside the parquet files, which its loader reads without a video decoder; JPEG and PNG of the bag stay as
-they are. Moments without a new image repeat the last one, which takes no room: equal values are stored once.
+Images are inside the parquet files, which LeRobot's loader reads without a video decoder; JPEG and PNG of the bag stay
+unchanged. Moments without a new image repeat the last one at no cost: equal values are stored once.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from scope_bench.adapters.bags import BagError, BagReader
+from scope_bench.adapters.bag.bags import BagError, BagReader
 from scope_bench.export.adapters.pictures import as_file, pixels
 from scope_bench.export.adapters.reading import kinds_of
 from scope_bench.export.core.frames import Episode, episodes, held, picture_statistics, statistics
@@ -34,16 +34,16 @@ class Dataset:
     Parameters
     ----------
     folder
-        Where; it must not exist.
+        Folder of the dataset; it must not exist.
     session, fps
-        Goals and joint positions, and moments a second.
+        Goals and joint positions, and moments per second.
     cameras
         Name of the camera of each topic with images.
 
     Raises
     ------
     BagError
-        If the bag lacks what every dataset needs, or the images of a camera differ in size.
+        If the bag lacks data that every dataset needs, or the images of a camera differ in size.
     """
 
     def __init__(self, folder: Path, session: Session, fps: int, cameras: dict[str, str]) -> None:
@@ -65,7 +65,7 @@ class Dataset:
 
     @property
     def count(self) -> int:
-        """Episodes written."""
+        """Number of episodes written."""
         return len(self._rows)
 
     def write(self, bag: BagReader) -> None:

@@ -9,8 +9,9 @@ from typing import Any
 
 import cv2
 import numpy as np
+import numpy.typing as npt
 
-from scope_bench.adapters.bags import BagError, BagReader
+from scope_bench.adapters.bag.bags import BagError, BagReader
 from scope_bench.export.adapters.reading import decoded, image_topics
 
 _ENCODINGS = {
@@ -57,7 +58,7 @@ def pixels(message: Any) -> Picture:
 
 
 def as_file(message: Any) -> tuple[str, bytes]:
-    """Return suffix and content of an image file: JPEG and PNG as they are in the bag, others as PNG.
+    """Return suffix and content of an image file: JPEG and PNG unchanged, others as PNG.
 
     Raises
     ------
@@ -89,7 +90,7 @@ def folder_name(topic: str) -> str:
 
 
 class _Index:
-    """frames.csv of each topic: which frame is which message."""
+    """frames.csv of each topic: the message of each frame."""
 
     def __init__(self, folder: Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)
@@ -108,7 +109,7 @@ class _Index:
 
 
 def write_images(bag: BagReader, folder: Path) -> tuple[int, dict[str, list[str]]]:
-    """Write each image as a file; return their number, and a reason for each that was left out, by topic."""
+    """Write each image as a file; return their number, and the reasons for omitted images by topic."""
     indices: dict[str, _Index] = {}
     problems: dict[str, list[str]] = {}
     for topic, received_ns, message in decoded(bag, set(image_topics(bag))):
@@ -128,9 +129,9 @@ def write_images(bag: BagReader, folder: Path) -> tuple[int, dict[str, list[str]
 
 
 def write_videos(bag: BagReader, folder: Path) -> tuple[int, dict[str, list[str]]]:
-    """Write an MP4 (MPEG-4 part 2) for each topic, a frame for each message; as :func:`write_images`.
+    """Write an MP4 (MPEG-4 part 2) for each topic, a frame for each message; returns the same as :func:`write_images`.
 
-    The rate is that of the median interval: a video without some messages is shorter, and frames.csv has the times.
+    The rate follows from the median interval: a video with missing messages is shorter, and frames.csv has the times.
     """
     problems: dict[str, list[str]] = {}
     total = 0
@@ -163,42 +164,45 @@ def write_videos(bag: BagReader, folder: Path) -> tuple[int, dict[str, list[str]
     return total, problems
 
 
-def save_strip(bag: BagReader, times_ns: Mapping[str, Sequence[int]], topics: Sequence[str], file: Path) -> None:
+def save_strip(
+    bag: BagReader, times_ns: Mapping[str, npt.NDArray[np.int64]], topics: Sequence[str], file: Path
+) -> None:
     """Save thumbnails over time, a row for each topic, with seconds since the bag's start.
 
-    A thumbnail shows the last image at its time; it is black before the first.
+    The first column is the moment at which each of the topics has an image, the last one the end of the bag. A
+    thumbnail shows the last image at its time.
 
     Raises
     ------
     BagError
         If there are no images, or the file cannot be written.
     """
-    columns = [bag.start_ns + bag.duration_ns * i // (STRIP_COLUMNS - 1) for i in range(STRIP_COLUMNS)]
-    wanted: dict[str, list[int]] = {}
-    for topic in topics:
-        at = np.searchsorted(np.asarray(times_ns[topic], np.int64), columns, side="right") - 1
-        wanted[topic] = at.tolist()
-    rows = []
-    for topic in topics:
-        found: dict[int, Picture] = {}
-        for number, (_, _, message) in enumerate(decoded(bag, {topic})):
-            if number in wanted[topic]:
-                try:
-                    found[number] = _thumbnail(pixels(message))
-                except (ValueError, cv2.error) as error:
-                    raise BagError(f"{topic}: {error}") from error
-        if found:
-            empty = np.zeros_like(next(iter(found.values())))
-            cells = [_labelled(found.get(n, empty), (t - bag.start_ns) / 1e9) for n, t in zip(wanted[topic], columns)]
-            rows.append(np.hstack(cells))
-    if not rows:
+    received = {topic: times for topic in topics if (times := np.sort(np.asarray(times_ns[topic], np.int64))).size}
+    if not received:
         raise BagError(f"{bag.path} has no images of a camera (image_raw)")
+    first_ns = max(int(times[0]) for times in received.values())
+    shown_ns = bag.start_ns + bag.duration_ns - first_ns
+    columns = [first_ns + shown_ns * i // (STRIP_COLUMNS - 1) for i in range(STRIP_COLUMNS)]
+    rows = []
+    for topic, times in received.items():
+        at = [int(i) for i in np.searchsorted(times, columns, side="right") - 1]
+        found = {i: _thumbnail_at(bag, topic, int(times[i])) for i in sorted({*at})}
+        rows.append(np.hstack([_labelled(found[n], (t - bag.start_ns) / 1e9) for n, t in zip(at, columns)]))
     try:
         _, packed = cv2.imencode(file.suffix.lower(), np.vstack(rows))
         file.write_bytes(packed.tobytes())
     except (cv2.error, OSError) as error:
         reason = error.strerror if isinstance(error, OSError) else "its name must end with .png or .jpg"
         raise BagError(f"{file} cannot be written: {reason}") from error
+
+
+def _thumbnail_at(bag: BagReader, topic: str, received_ns: int) -> Picture:
+    """Return a thumbnail of the last image that was received at this time; other images are not read."""
+    *_, (_, _, message) = decoded(bag, {topic}, received_ns, received_ns + 1)
+    try:
+        return _thumbnail(pixels(message))
+    except (ValueError, cv2.error) as error:
+        raise BagError(f"{topic}: {error}") from error
 
 
 def _thumbnail(picture: Picture) -> Picture:

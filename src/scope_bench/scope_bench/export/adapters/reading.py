@@ -1,16 +1,16 @@
-"""Sessions and cameras of a bag, and the libraries that only some forms of an export need."""
+"""Sessions and cameras of a bag, and the libraries that only some export forms need."""
 
 from __future__ import annotations
 
 import importlib
 import sys
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from typing import Any
 
 from rosbags.serde import SerdeError
 
-from scope_bench.adapters.bag_pictures import COMPRESSED, IMAGE, SUFFIX
-from scope_bench.adapters.bags import BagError, BagReader
+from scope_bench.adapters.bag.bag_pictures import COMPRESSED, IMAGE, SUFFIX
+from scope_bench.adapters.bag.bags import BagError, BagReader
 from scope_bench.export.core.session import TOPICS, Session
 
 LIBRARIES = {"pyarrow": "pyarrow>=18", "rerun": "rerun-sdk==0.41.0"}
@@ -23,7 +23,7 @@ def require(*modules: str) -> None:
     Raises
     ------
     BagError
-        If one is missing; names the command that installs it.
+        If a library is missing; the text names the command that installs it.
     """
     for module in modules:
         try:
@@ -34,7 +34,7 @@ def require(*modules: str) -> None:
 
 
 def namespace_of(text: str) -> str:
-    """Return an option's namespace as topics begin with it: "" or /bed_1."""
+    """Return an option's namespace in the form at the start of topics: "" or /bed_1."""
     return "/" + text.strip("/") if text.strip("/") else ""
 
 
@@ -43,10 +43,10 @@ def kinds_of(bag: BagReader) -> dict[str, str]:
     return {topic.name: topic.type for topic in bag.topics if topic.count}
 
 
-def decoded(bag: BagReader, topics: set[str]) -> Iterator[tuple[str, int, Any]]:
-    """Yield (topic, time of reception in ns, message) in the order of time."""
+def decoded(bag: BagReader, topics: set[str], start_ns: int = 0, stop_ns: int = 0) -> Iterator[tuple[str, int, Any]]:
+    """Yield (topic, time of reception in ns, message) in the order of time; the limits are those of a BagReader."""
     kinds = kinds_of(bag)
-    for topic, received_ns, data in bag.messages(topics):
+    for topic, received_ns, data in bag.messages(topics, start_ns, stop_ns):
         try:
             message = bag.decode(data, kinds[topic])
         except SerdeError as error:
@@ -54,21 +54,16 @@ def decoded(bag: BagReader, topics: set[str]) -> Iterator[tuple[str, int, Any]]:
         yield topic, received_ns, message
 
 
-def session_of(bag: BagReader, namespace: str = "") -> Session:
-    """Return the session of the robot in a namespace, which begins with / unless it is empty."""
+def session_of(bag: BagReader, namespace: str = "", topics: Collection[str] = tuple(TOPICS)) -> Session:
+    """Return the session of the robot in a namespace, which begins with / unless it is empty.
+
+    ``topics`` are the topics to read, without the namespace.
+    """
     session, kinds = Session(), kinds_of(bag)
-    wanted = {namespace + topic for topic, kind in TOPICS.items() if kinds.get(namespace + topic) == kind}
+    wanted = {namespace + topic for topic in topics if kinds.get(namespace + topic) == TOPICS[topic]}
     for topic, received_ns, message in decoded(bag, wanted):
         session.take(topic.removeprefix(namespace), received_ns, message)
     return session
-
-
-def times_of(bag: BagReader) -> dict[str, list[int]]:
-    """Return the times of reception in ns of all messages, by topic."""
-    times: dict[str, list[int]] = {}
-    for topic, received_ns, _ in bag.messages():
-        times.setdefault(topic, []).append(received_ns)
-    return times
 
 
 def image_topics(bag: BagReader) -> list[str]:
@@ -77,7 +72,7 @@ def image_topics(bag: BagReader) -> list[str]:
 
 
 def cameras(bag: BagReader, namespace: str = "") -> dict[str, str]:
-    """Return a name for each topic with a camera's images, of raw and compressed ones the topic with more messages.
+    """Return a name for each image topic of a camera; of raw and compressed, the topic with more messages.
 
     Cameras of this graph are ``left`` and ``right``; others are named by their topic.
     """

@@ -1,15 +1,16 @@
-"""A recording for the Rerun viewer: the scene in 3D and the images side by side, below them readings and texts."""
+"""A recording for the Rerun viewer: the 3D scene next to the images, and readings and texts below."""
 
 from __future__ import annotations
 
+import contextlib
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 
-from icu_common.core.geometry import Transform
-from scope_bench.adapters.bags import BagReader
+from icu_common.core.geometry.geometry import Transform
+from scope_bench.adapters.bag.bags import BagReader
 from scope_bench.export.adapters.pictures import as_file, pixels
 from scope_bench.export.adapters.reading import cameras, decoded, kinds_of
 from scope_bench.export.core.session import JOINTS, RESULT, TOPICS, TRAJECTORY
@@ -28,11 +29,15 @@ SHOWN = {
     TIP: "geometry_msgs/msg/PointStamped",
     POINTS: "sensor_msgs/msg/PointCloud2",
 }
-"""Topics that are shown besides images and texts, and their types."""
+"""Displayed topics besides images and texts, and their types."""
+AXIS_M, STYLUS_M = 0.05, 0.004
+"""Length of the drawn axes of base_link, and radius of the drawn stylus tip."""
+EYE, EYE_TARGET = (0.4, -0.62, -0.25), (0.1, 0.05, 0.5)
+"""Eye and target of the first view of the scene, in units of the distance from the left camera to the panel."""
 
 
 class Recording:
-    """Writes one .rrd file; 3D is in camera_left_optical_frame, or in base_link where no calibration is recorded."""
+    """Writes one .rrd file; 3D is in camera_left_optical_frame, or in base_link if no calibration is recorded."""
 
     def __init__(self, path: Path, bag: BagReader, namespace: str = "") -> None:
         import rerun as rr
@@ -43,31 +48,65 @@ class Recording:
         calibrated = namespace + BASE_POSE in self._kinds
         self._base = "scene/base" if calibrated else "base"
         self._axes = np.eye(2)
+        self._trace: list[list[float]] = []
         self._stream = rr.RecordingStream("icu_gantry")
         views = [rrb.Spatial2DView(origin=f"images/{name}", name=name) for name in self._cameras.values()]
-        scene = rrb.Spatial3DView(origin="scene" if calibrated or namespace + PANEL_POSE in self._kinds else "base")
+        seen = calibrated or namespace + PANEL_POSE in self._kinds
+        scene = rrb.Spatial3DView(
+            origin="scene" if seen else "base", eye_controls=rrb.EyeControls3D(**self._eye()) if seen else None
+        )
         below = rrb.Horizontal(rrb.TimeSeriesView(origin="joints"), rrb.TextLogView(origin="texts"))
         layout = rrb.Vertical(rrb.Horizontal(scene, rrb.Vertical(*views)), below, row_shares=[3, 1])
         self._stream.save(path, default_blueprint=rrb.Blueprint(layout))
-        if calibrated or scene.origin == "scene":
+        if seen:
             self._stream.log("scene", rr.ViewCoordinates.RDF, static=True)
         self.problems: dict[str, list[str]] = {}
 
     def write(self) -> int:
-        """Log every message that has a place in the recording; return their number."""
+        """Log every message that the recording can show; return their number."""
         count, expected = 0, {self._namespace + topic: kind for topic, kind in SHOWN.items()}
         shown = {topic for topic, kind in self._kinds.items() if kind in (TEXT, expected.get(topic))}
+        self._log_first_calibration()
         for topic, received_ns, message in decoded(self._bag, shown | set(self._cameras)):
-            self._stream.set_time(CLOCK, timestamp=np.datetime64(received_ns, "ns"))
+            self._set_time(received_ns)
             try:
                 self._take(topic, topic.removeprefix(self._namespace), message)
             except (ValueError, cv2.error) as error:
                 self.problems.setdefault(topic, []).append(str(error))
                 continue
             count += 1
+        self._log_stage()
         self._stream.flush()
         self._stream.disconnect()
         return count
+
+    def _eye(self) -> dict[str, list[float]]:
+        """Return a first view from above and behind the cameras; the viewer's default may leave a camera out."""
+        distance_m = 0.6
+        for topic in (BASE_POSE, PANEL_POSE):
+            if self._kinds.get(self._namespace + topic) == SHOWN[topic]:
+                _, _, message = next(decoded(self._bag, {self._namespace + topic}))
+                distance_m = float((message.transform.translation if topic == BASE_POSE else message.pose.position).z)
+        position, target = (distance_m * np.array(part) for part in (EYE, EYE_TARGET))
+        return {"position": position.tolist(), "look_target": target.tolist(), "eye_up": [0.0, -1.0, 0.0]}
+
+    def _set_time(self, time_ns: int) -> None:
+        self._stream.set_time(CLOCK, timestamp=np.datetime64(time_ns, "ns"))
+
+    def _log_first_calibration(self) -> None:
+        """Log the first calibration at the start of the bag, for the readings before it.
+
+        The viewer puts an entity without a transform at the scene's origin: the stage would start in the left camera.
+        """
+        self._set_time(self._bag.start_ns)
+        for topic in (AXES, BASE_POSE):
+            name = self._namespace + topic
+            if self._kinds.get(name) != SHOWN[topic]:
+                continue
+            _, received_ns, message = next(decoded(self._bag, {name}))
+            if received_ns > self._bag.start_ns:
+                with contextlib.suppress(ValueError):  # write() reports it at the message's own time
+                    self._take(name, topic, message)
 
     def _take(self, name: str, topic: str, message: Any) -> None:
         rr, log = self._rr, self._stream.log
@@ -88,7 +127,10 @@ class Recording:
             places = [m.pose.position for m in message.markers]
             sizes = [[m.scale.x / 2, m.scale.y / 2, m.scale.z / 2] for m in message.markers]
             boxes = rr.Boxes3D(
-                centers=[[p.x, p.y, p.z] for p in places], half_sizes=sizes, labels=[m.text for m in message.markers]
+                centers=[[p.x, p.y, p.z] for p in places],
+                half_sizes=sizes,
+                labels=[m.text for m in message.markers],
+                show_labels=False,  # they cover the panel; the viewer shows the one under the pointer
             )
             log("scene/panel/controls", boxes)
         elif topic == TIP:
@@ -119,7 +161,20 @@ class Recording:
     def _log_joints(self, position: dict[str, float]) -> None:
         for joint, metres in position.items():
             self._stream.log(f"joints/{joint}", self._rr.Scalars(float(metres)))
-        self._stream.log(f"{self._base}/stylus", self._rr.Points3D([self._tip(position)], radii=0.002))
+        self._trace.append(self._tip(position))
+        self._stream.log(
+            f"{self._base}/stylus",
+            self._rr.Points3D([self._trace[-1]], radii=STYLUS_M, colors=[255, 0, 160], labels=["stylus"]),
+        )
+
+    def _log_stage(self) -> None:
+        """Log the axes of base_link and all positions of the stylus, which the scene shows at every time."""
+        if not self._trace:
+            return
+        axes = self._rr.Arrows3D(vectors=AXIS_M * np.eye(3), colors=255 * np.eye(3, dtype=np.uint8), labels=list("xyz"))
+        self._stream.log(f"{self._base}/axes", axes, static=True)
+        trace = self._rr.LineStrips3D([self._trace], colors=[128, 128, 128])
+        self._stream.log(f"{self._base}/trace", trace, static=True)
 
     def _tip(self, position: dict[str, float]) -> list[float]:
         try:

@@ -1,4 +1,4 @@
-"""States, events and goals of a session as parquet files; each field's metadata has its unit and what it is."""
+"""States, events and goals of a session as parquet files; each field's metadata has its unit and meaning."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import math
 from pathlib import Path
 from typing import Any
 
-from scope_bench.adapters.bags import BagReader
+from scope_bench.adapters.bag.bags import BagReader
 from scope_bench.export.adapters.reading import decoded, kinds_of
 from scope_bench.export.core.session import Session
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from icu_common.core.results import Outcome
+from icu_common.core.goals.results import Outcome
 from scope_bench.export.core.session import Array, RecordedGoal, Session
 
 
@@ -25,7 +25,7 @@ class Episode:
 
 
 def episodes(session: Session, fps: int) -> list[Episode]:
-    """Return the episodes of a session in the order of time; goals that were rejected or not answered are none."""
+    """Return the episodes of a session in order of time; rejected and unanswered goals have none."""
     found = []
     for goal in session.goals:
         if goal.accepted_ns is not None and goal.ended_ns is not None:
@@ -53,7 +53,7 @@ def statistics(rows: Array) -> dict[str, list[Any]]:
 def held(
     moments: Sequence[int], messages: Iterator[tuple[str, int, bytes]], cameras: Mapping[str, str]
 ) -> Iterator[tuple[int, dict[str, bytes]]]:
-    """Yield each moment with the newest message of each camera then, of those that have one.
+    """Yield each moment with the newest message at that time of each camera that has one.
 
     Parameters
     ----------

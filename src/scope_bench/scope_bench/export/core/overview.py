@@ -8,9 +8,10 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
-from icu_common.core.text_bounds import plain
-from scope_bench.export.core.session import JOINTS, TRAJECTORY_RESULT, RecordedGoal
+from icu_common.core.configuration.text_bounds import plain
+from scope_bench.export.core.session import JOINTS, RESULT, TRAJECTORY_RESULT, RecordedGoal
 
 MIN_MESSAGES, STEADY, OFF, LONGEST = 10, 0.8, 0.5, 3.0
 """A topic is steady if it has ``MIN_MESSAGES`` and the share ``STEADY`` of its intervals is off the median
@@ -48,8 +49,8 @@ class Gaps:
     lengths_s: tuple[float, ...]
 
 
-def gaps(times_ns: Sequence[int]) -> Gaps | None:
-    """Return the gaps of a topic by its times of reception; None if it is not steady, so that no gap can be told."""
+def gaps(times_ns: Sequence[int] | npt.NDArray[np.int64]) -> Gaps | None:
+    """Return the gaps of a topic by its times of reception; None for an unsteady topic, whose gaps are undefined."""
     if len(times_ns) < MIN_MESSAGES:
         return None
     times = np.sort(np.asarray(times_ns, np.int64))
@@ -66,7 +67,7 @@ def gaps(times_ns: Sequence[int]) -> Gaps | None:
 
 
 def gap_text(found: Gaps, start_ns: int) -> str:
-    """Return one line on the gaps of a topic, "" where there are none."""
+    """Return one line on the gaps of a topic, "" if there are none."""
     if not found.lengths_s:
         return ""
     longest = int(np.argmax(found.lengths_s))
@@ -77,28 +78,37 @@ def gap_text(found: Gaps, start_ns: int) -> str:
     )
 
 
-def goal_lines(goals: Sequence[RecordedGoal], start_ns: int) -> list[str]:
-    """Return a summary of a session's goals, and a line for each of the first :data:`MAX_GOALS`."""
+def goal_lines(goals: Sequence[RecordedGoal], start_ns: int, with_results: bool) -> list[str]:
+    """Return a summary of a session's goals, and a line for each of the first :data:`MAX_GOALS`.
+
+    If the bag lacks the topic of the results, no line has an outcome.
+    """
     if not goals:
         return ["goals: none"]
     counts = Counter(goal.outcome for goal in goals)
-    lines = [f"goals: {len(goals)}, " + ", ".join(f"{count} {outcome}" for outcome, count in sorted(counts.items()))]
+    summary = ", ".join(f"{count} {outcome}" for outcome, count in sorted(counts.items()))
+    lines = [f"goals: {len(goals)}, {summary if with_results else f'without results: the bag lacks {RESULT}'}"]
     for goal in goals[:MAX_GOALS]:
-        result, text = goal.result, goal.outcome
-        if result is not None:
-            if math.isfinite(result.duration_s):
-                text += f" after {result.duration_s:.1f} s"
-            if math.isfinite(result.error_m):
-                text += f", {result.error_m * 1e3:.2f} mm off"
-            text += f": {plain(result.reason)}" if result.reason else ""
-        lines.append(f"  {(goal.sent_ns - start_ns) / 1e9:8.2f} s  {plain(goal.task)}  {text}")
+        line = f"  {(goal.sent_ns - start_ns) / 1e9:8.2f} s  {plain(goal.task)}"
+        lines.append(f"{line}  {_outcome_text(goal)}" if with_results else line)
     if len(goals) > MAX_GOALS:
         lines.append(f"  and {len(goals) - MAX_GOALS} more")
     return lines
 
 
+def _outcome_text(goal: RecordedGoal) -> str:
+    result, text = goal.result, goal.outcome
+    if result is None:
+        return text
+    if math.isfinite(result.duration_s):
+        text += f" after {result.duration_s:.1f} s"
+    if math.isfinite(result.error_m):
+        text += f", {result.error_m * 1e3:.2f} mm off"
+    return f"{text}: {plain(result.reason)}" if result.reason else text
+
+
 def check_lines(topics: Collection[str]) -> list[str]:
-    """Return which parts of the graph a replay of these topics can check, and what each other part lacks."""
+    """Return the parts of the graph that a replay of these topics can check, and the topics that others lack."""
     lines = []
     for part, groups in CHECKS:
         missing = [group[0] for group in groups if not set(group) & set(topics)]

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from icu_common.core.frames import CAMERA_LEFT, CAMERA_RIGHT
-from icu_common.core.intent import read_frame
-from icu_common.core.results import GoalResult, Outcome
+from icu_common.core.geometry.frames import CAMERA_LEFT, CAMERA_RIGHT
+from icu_common.core.goals.intent import read_frame
+from icu_common.core.goals.results import GoalResult, Outcome
 
 Array = npt.NDArray[np.float64]
 POINT, COMMAND, RESULT = "/gantry/goal", "/gantry/command", "/gantry/result"
@@ -27,20 +27,22 @@ TOPICS = {
     TRAJECTORY_RESULT: ANSWER,
 }
 """Topics of a session and their types."""
+GOAL_TOPICS = (POINT, COMMAND, RESULT)
+"""Topics that goals and their results come from."""
 
 
 @dataclass(slots=True, kw_only=True)
 class RecordedGoal:
-    """One goal and what became of it.
+    """One goal and its result.
 
     Parameters
     ----------
     goal_id
-        As in :class:`icu_common.core.results.GoalResult`.
+        As in :class:`icu_common.core.goals.results.GoalResult`.
     task
-        The command without its id, or where a point is, in words.
+        The command without its id, or the position of a point, as text.
     sent_ns, accepted_ns, ended_ns
-        Times of reception; None where the bag has no such message.
+        Times of reception; None if the bag has no such message.
     result
         The final answer, None without one.
     """
@@ -81,7 +83,7 @@ class Session:
     motions: list[Motion] = field(default_factory=list)
 
     def take(self, topic: str, received_ns: int, message: Any) -> None:
-        """Take the message of a topic, without its robot's namespace, as rosbags decodes it."""
+        """Process a message as decoded by rosbags; ``topic`` is without its robot's namespace."""
         match topic:
             case "/gantry/goal":
                 stamp_ns = message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
@@ -105,7 +107,7 @@ class Session:
                     self._end(result, received_ns)
 
     def _answer(self, result: GoalResult, received_ns: int) -> None:
-        # A result follows its goal; the ids of commands without one are their texts, and come again.
+        # A result follows its goal; commands without an id use their text as id, which can repeat.
         waiting = [goal for goal in self.goals if goal.result is None]
         goal = next((g for g in reversed(waiting) if g.goal_id == result.goal_id), None)
         if goal is None:
@@ -144,10 +146,10 @@ class Session:
         return self.positions_m[number - 1] if number else None
 
     def target_at(self, time_ns: int) -> Array | None:
-        """Return the joint positions in metres that were commanded for a time.
+        """Return the joint positions in metres that were commanded for a given time.
 
-        On the way these lie on the trajectory, by its own times; afterwards they are its last point. Where nothing was
-        commanded, or a motion was rejected or aborted, they are the measured positions.
+        During a motion they are on the trajectory, by its own times; afterwards they are its last point. Without a
+        command, or after a rejected or aborted motion, they are the measured positions.
         """
         state = self.state_at(time_ns)
         number = bisect.bisect_right(self.motions, time_ns, key=lambda motion: motion.begun_ns)
@@ -161,7 +163,7 @@ class Session:
 
 
 def results_of(message: Any) -> list[GoalResult]:
-    """Return the answers in a DiagnosticArray; a status that is none is left out."""
+    """Return the answers in a DiagnosticArray; other statuses are left out."""
     found = []
     for status in message.status:
         values = {pair.key: pair.value for pair in status.values}

@@ -21,7 +21,7 @@ class ParameterChanges:
         self._omitted = 0
 
     def changed(self, node: str, name: str, value: str, now: Now) -> list[Effect]:
-        """Note a change; ``value`` is the new value as text."""
+        """Record a change; ``value`` is the new value as text."""
         if len(self._shown_s) == MOST and now.mono_s - self._shown_s[0] < WITHIN_S:
             self._omitted += 1
             return []

@@ -1,0 +1,1 @@
+"""Contact of the stylus: its evidence, and the travel of a press."""

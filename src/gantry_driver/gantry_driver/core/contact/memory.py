@@ -1,0 +1,61 @@
+"""Heights from looks and touches since the calibration."""
+
+from __future__ import annotations
+
+import math
+
+from gantry_driver.core.contact.config import ContactConfig
+from gantry_driver.core.contact.heights import Finding, FindingCode, HeightEstimate
+
+KEY_STROKE_M = 0.0015
+KEY_STROKE_SIGMA_M = 0.001
+"""Usual stroke of a key and its standard deviation, before the key has been pressed."""
+END_SPARE_M = 0.0005
+"""Additional compression of the spring at the end of a press of a known key, in metres."""
+
+
+class HeightMemory:
+    """The stylus's offset from its readings, and for each control the depth of its stop below its expected top."""
+
+    def __init__(self, config: ContactConfig) -> None:
+        self.config = config
+        self.forget()
+
+    def forget(self) -> None:
+        """Start again, after a calibration."""
+        height = self.config.height
+        self.stylus = HeightEstimate(
+            code=FindingCode.STYLUS_OFFSET, sigma_m=height.start_sigma_m, drift_m=height.drift_sigma_m
+        )
+        self._ends: dict[tuple[str, bool], HeightEstimate] = {}
+
+    def end(self, control: str, key: bool) -> HeightEstimate:
+        """Return the estimated depth below its expected top where a control stops the ball; a key gives way first."""
+        if (known := self._ends.get((control, key))) is not None:
+            return known
+        height = self.config.height
+        return self._ends.setdefault(
+            (control, key),
+            HeightEstimate(
+                code=FindingCode.PANEL_DEPTH,
+                value_m=KEY_STROKE_M if key else 0.0,
+                sigma_m=KEY_STROKE_SIGMA_M if key else height.start_sigma_m,
+                drift_m=height.drift_sigma_m,
+            ),
+        )
+
+    def travel_m(self, control: str, key: bool, usual_m: float) -> float:
+        """Return the first travel of a press: to where the control stopped the last one, else ``usual_m``."""
+        end = self.end(control, key)
+        if not end.measured:
+            return usual_m
+        known_m = end.value_m + self.config.lag_m + END_SPARE_M
+        return min(max(known_m, usual_m if not key else 0.0), self.config.max_travel_m)
+
+    def looked(self, offset_m: float, sigma_m: float) -> Finding | None:
+        """Take a ball that is seen ``offset_m`` above the height of its reading."""
+        return self.stylus.take(offset_m, math.hypot(sigma_m, self.config.height.place_sigma_m))
+
+    def touched(self, control: str, key: bool, end_m: float, sigma_m: float) -> Finding | None:
+        """Take a control that stopped the ball ``end_m`` below its expected top."""
+        return self.end(control, key).take(end_m, math.hypot(sigma_m, self.config.height.panel_sigma_m))

@@ -1,0 +1,383 @@
+"""Messages of the board as values: bytes in, frozen messages out, in any chunks; noise becomes :class:`Garbage`.
+
+Source: GRBL 1.1 interface documents; grblHAL, FluidNC and Marlin where they differ.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from enum import Enum
+
+MAX_LINE = 1024
+"""Maximum kept bytes of a line; the longest valid lines (help texts of grblHAL) are far shorter."""
+
+
+class Dialect(str, Enum):
+    """The firmwares that the driver distinguishes."""
+
+    UNKNOWN = "unknown"
+    GRBL = "GRBL"
+    GRBL_0 = "GRBL0"
+    GRBLHAL = "grblHAL"
+    FLUIDNC = "FluidNC"
+    MARLIN = "Marlin"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Message:
+    """Base of all messages of a board."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OkAnswer(Message):
+    """``ok``: the board has accepted the oldest unanswered line."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ErrorAnswer(Message):
+    """``error:N``: the board has rejected the oldest unanswered line."""
+
+    code: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Alarm(Message):
+    """``ALARM:N``."""
+
+    code: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Banner(Message):
+    """Banner of a board that has started or was reset."""
+
+    dialect: Dialect
+    version: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Report(Message):
+    """A status report.
+
+    Parameters
+    ----------
+    state, substate
+        ``Hold:0`` gives ``Hold`` and 0; substate is -1 if there is none.
+    mpos_mm, wpos_mm, wco_mm
+        Machine position, work position and the offset between them; None if the report has none.
+    planner_free, rx_free
+        From ``Bf``; -1 if the report has none.
+    overrides_percent
+        Feed, rapid and spindle, from ``Ov``; None if the report has none.
+    feed_mm_min, spindle
+        From ``FS`` or ``F``; None if the report has none.
+    pins
+        Letters of the active input pins, from ``Pn``; empty if the report has none.
+    """
+
+    state: str
+    substate: int = -1
+    mpos_mm: tuple[float, ...] | None = None
+    wpos_mm: tuple[float, ...] | None = None
+    wco_mm: tuple[float, ...] | None = None
+    planner_free: int = -1
+    rx_free: int = -1
+    overrides_percent: tuple[float, ...] | None = None
+    feed_mm_min: float | None = None
+    spindle: float | None = None
+    pins: str = ""
+
+    @property
+    def state_text(self) -> str:
+        return self.state if self.substate < 0 else f"{self.state}:{self.substate}"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SettingValue(Message):
+    """One line of ``$$``; ``text`` as printed."""
+
+    number: int
+    text: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StartupLine(Message):
+    """Line that the board runs after a reset, with its name (``$N0``); ``text`` is empty if it runs none."""
+
+    name: str
+    text: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BuildOptions(Message):
+    """``[OPT:flags,planner,rx]``: the sizes of receive buffer and planner, 0 if the firmware reports none."""
+
+    rx_bytes: int
+    planner_blocks: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Feedback(Message):
+    """Any other ``[KEY:text]``."""
+
+    key: str
+    text: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Firmware(Message):
+    """Marlin's answer to ``M115``, or grblHAL's ``[FIRMWARE:..]``."""
+
+    dialect: Dialect
+    version: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Garbage(Message):
+    """A line that is none of the above: noise, or two lines with the newline between them lost."""
+
+    raw: bytes
+
+
+class LineReader:
+    """Splits bytes into lines; the result does not depend on the chunks in which the bytes arrive."""
+
+    def __init__(self) -> None:
+        self._partial = bytearray()
+
+    def feed(self, data: bytes) -> list[bytes]:
+        """Return the lines completed by ``data``, without line ends and without empty lines.
+
+        A line longer than ``MAX_LINE`` is truncated.
+        """
+        lines = []
+        for part in data.splitlines(keepends=True):
+            body = part.rstrip(b"\r\n")
+            self._partial += body[: MAX_LINE - len(self._partial)]
+            if len(body) < len(part):
+                if self._partial:
+                    lines.append(bytes(self._partial))
+                self._partial.clear()
+        return lines
+
+    def clear(self) -> None:
+        """Drop an incomplete line, for example after the port was reopened."""
+        self._partial.clear()
+
+
+_ERROR = re.compile(r"error:\s*(\d{1,3})\Z", re.IGNORECASE)
+_ALARM = re.compile(r"ALARM:\s*(\d{1,3})\Z", re.IGNORECASE)
+_GRBL = re.compile(r"Grbl(HAL)? (\d[\w.]*)(.*)", re.IGNORECASE)
+_MARLIN = re.compile(r"(?:echo:)?\s*Marlin\s+([\w.-]+)")
+_SETTING = re.compile(r"\$(\d{1,4})=([^\s()]*)")
+_STARTUP = re.compile(r"(\$(?:N\d|/macros/\w+))=(.*)\Z")
+_FEEDBACK = re.compile(r"\[([A-Za-z][A-Za-z0-9]*):(.*)\]\Z")
+_NUMBERS = re.compile(r"-?\d{1,7}(\.\d{1,4})?(,-?\d{1,7}(\.\d{1,4})?)*\Z")
+_PINS = re.compile(r"[A-Z]*\Z")
+_STATES = {"Idle", "Run", "Hold", "Jog", "Alarm", "Door", "Check", "Home", "Sleep", "Tool"}
+
+
+def parse_line(raw: bytes) -> Message:
+    """Return the message in a line (without its end); never raises.
+
+    Examples
+    --------
+    >>> parse_line(b"error:20")
+    ErrorAnswer(code=20)
+    >>> parse_line(b"<Hold:0|MPos:1.000,2.000,-3.000|FS:0,0>").state_text
+    'Hold:0'
+    """
+    try:
+        text = raw.decode("ascii").strip()
+    except UnicodeDecodeError:
+        # A banner damaged by noise still shows that the board was reset; no other damaged line is interpreted.
+        return _banner(raw.decode("ascii", "replace")) or Garbage(raw=raw)
+    if text == "ok":
+        return OkAnswer()
+    if match := _ERROR.match(text):
+        return ErrorAnswer(code=int(match[1]))
+    if match := _ALARM.match(text):
+        return Alarm(code=int(match[1]))
+    if text.startswith("<"):
+        return _report(text) or _banner(text) or Garbage(raw=raw)
+    if match := _SETTING.match(text):
+        return SettingValue(number=int(match[1]), text=match[2])
+    if match := _STARTUP.match(text):
+        return StartupLine(name=match[1], text=match[2].strip())
+    if match := _FEEDBACK.match(text):
+        return _feedback(match[1], match[2])
+    if "FIRMWARE_NAME:Marlin" in text:
+        return Firmware(dialect=Dialect.MARLIN, version=text.partition("FIRMWARE_NAME:")[2].split(" SOURCE")[0])
+    return _banner(text) or Garbage(raw=raw)
+
+
+def _banner(text: str) -> Banner | None:
+    if match := _GRBL.search(text):
+        dialect = Dialect.GRBL_0 if match[2].startswith("0.") else Dialect.GRBL
+        if match[1]:
+            dialect = Dialect.GRBLHAL
+        elif "FluidNC" in match[3]:
+            dialect = Dialect.FLUIDNC
+        return Banner(dialect=dialect, version=match[2])
+    if match := _MARLIN.search(text):
+        return Banner(dialect=Dialect.MARLIN, version=match[1])
+    return None
+
+
+def _feedback(key: str, value: str) -> Message:
+    if key == "OPT":
+        _, *sizes = [*value.split(","), "", ""]
+        planner, rx = (int(size) if size.isdigit() else 0 for size in sizes[:2])
+        return BuildOptions(rx_bytes=rx, planner_blocks=planner)
+    if key == "FIRMWARE":
+        return Firmware(dialect=Dialect.GRBLHAL if "grblhal" in value.lower() else Dialect.UNKNOWN, version=value)
+    if key == "VER" and "FluidNC" in value:
+        return Firmware(dialect=Dialect.FLUIDNC, version=value)
+    return Feedback(key=key, text=value)
+
+
+def _numbers(text: str, least: int) -> tuple[float, ...] | None:
+    """Return the numbers of a field, None if one is not in the boards' format: no exponent, no plus, no blank."""
+    if text.count(",") + 1 < least or not _NUMBERS.match(text):
+        return None
+    return tuple(map(float, text.split(",")))
+
+
+def _position(text: str) -> tuple[float, ...] | None:
+    """Return the numbers of a position, None if X, Y and Z do not have the same number of decimals.
+
+    GRBL 1.1h, grblHAL (report.c) and FluidNC (Report.cpp) print X, Y and Z with the same number of decimals, so this
+    detects a lost or doubled digit after the point. In inches, FluidNC prints rotary axes with another number.
+    """
+    decimals = {len(number.partition(".")[2]) for number in text.split(",")[:3]}
+    return _numbers(text, 3) if len(decimals) == 1 else None
+
+
+def _report(text: str) -> Report | None:
+    """Return the report, or None if a part on which the driver depends is damaged."""
+    if not text.endswith(">") or "<" in text[1:]:
+        return None
+    head, *fields = text[1:-1].split("|")
+    state, _, sub = head.partition(":")
+    if state not in _STATES or (sub and not sub.isdigit()):
+        return None
+    found: dict[str, str] = {}
+    for item in fields:
+        key, colon, value = item.partition(":")
+        if not colon or key in found:
+            return None
+        found[key] = value
+    points: dict[str, tuple[float, ...] | None] = {}
+    for key in ("MPos", "WPos", "WCO"):
+        points[key] = _position(found[key]) if key in found else None
+        if key in found and points[key] is None:
+            return None
+    if points["MPos"] is None and points["WPos"] is None:
+        return None
+    buffers = _numbers(found.get("Bf", "-1,-1"), 2)
+    overrides = _numbers(found["Ov"], 3) if "Ov" in found else None
+    if ("Ov" in found) != (overrides is not None):
+        return None
+    speeds = _numbers(found.get("FS", found.get("F", "0")), 1)
+    pins = found.get("Pn", "")
+    if buffers is None or speeds is None or not _PINS.match(pins):
+        return None
+    return Report(
+        state=state,
+        substate=int(sub) if sub else -1,
+        mpos_mm=points["MPos"],
+        wpos_mm=points["WPos"],
+        wco_mm=points["WCO"],
+        planner_free=int(buffers[0]),
+        rx_free=int(buffers[1]),
+        overrides_percent=overrides,
+        feed_mm_min=speeds[0] if "FS" in found or "F" in found else None,
+        spindle=speeds[1] if "FS" in found and len(speeds) > 1 else None,
+        pins=pins,
+    )
+
+
+ALARM_TEXTS = {
+    1: "hard limit switch, position lost",
+    2: "target beyond soft limits",
+    3: "reset while moving, position lost",
+    4: "probe not in its initial state",
+    5: "probe did not make contact",
+    6: "homing: reset during the cycle",
+    7: "homing: door opened",
+    8: "homing: pull-off did not clear the switch",
+    9: "homing: no switch found",
+    10: "emergency stop or second axis",
+}
+_ALARM_TEXTS_OF = {
+    Dialect.GRBLHAL: {
+        10: "the emergency stop is pressed",
+        11: "must be homed first",
+        12: "a limit switch is engaged",
+        14: "the spindle is not at speed",
+        17: "motor fault",
+    },
+    Dialect.FLUIDNC: {
+        10: "spindle fault",
+        11: "a control or limit input is active at the start",
+        12: "homing: which switch is not clear",
+        13: "hard stop",
+        14: "must be homed first",
+    },
+}
+"""Meanings, in other firmwares, of numbers that GRBL does not use or uses differently (grblHAL: alarms.c, FluidNC:
+Protocol.h)."""
+ERROR_TEXTS = {
+    1: "letter expected",
+    2: "bad number",
+    3: "$ statement not known",
+    4: "the value must not be negative",
+    5: "homing is not enabled ($22)",
+    6: "step pulse shorter than 3 us",
+    7: "EEPROM read failed",
+    8: "allowed only while idle",
+    9: "locked by an alarm",
+    10: "soft limits need homing",
+    11: "line too long",
+    12: "step rate above the firmware's maximum",
+    13: "safety door open",
+    14: "too long to be stored",
+    15: "jog beyond the travel",
+    16: "bad jog",
+    17: "laser mode needs PWM",
+    18: "a reset signal is held, or with FluidNC no axis homes",
+    20: "command not supported",
+    21: "two commands of one modal group",
+    22: "no feed rate",
+    23: "integer expected",
+    24: "two commands use the axis words",
+    25: "word given twice",
+    26: "no axis words",
+    27: "line number out of range",
+    28: "value word missing",
+    29: "coordinate system beyond G59",
+    30: "G53 needs G0 or G1",
+    31: "axis words without a use",
+    32: "arc without an axis word of its plane",
+    33: "arc target",
+    34: "arc radius",
+    35: "arc offsets",
+    36: "unused value words",
+    37: "G43.1 takes the axis of the tool only",
+    38: "tool number too large",
+    45: "a limit switch is engaged, only homing is allowed",
+    46: "must be homed first",
+    50: "the emergency stop is pressed",
+}
+
+
+def alarm_text(code: int, dialect: Dialect) -> str:
+    """Return ``ALARM:N (meaning)``."""
+    texts = ALARM_TEXTS | _ALARM_TEXTS_OF.get(dialect, {})
+    return f"ALARM:{code} ({texts.get(code, 'see the manual of the firmware')})"
+
+
+def error_text(code: int) -> str:
+    """Return ``error:N (meaning)``."""
+    return f"error:{code} ({ERROR_TEXTS.get(code, 'see the manual of the firmware')})"

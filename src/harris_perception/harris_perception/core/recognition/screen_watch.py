@@ -1,0 +1,113 @@
+"""Detects changes of a screen other than its periodic content.
+
+A running trace changes hundreds of cells, and each of them may rest for a second between two changes. A cell therefore
+counts only after a rest longer than the period of the trace. A cell that changed without others must rest twice as long
+from then on. A change must last: a cell that keeps changing belongs to a trace.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from icu_common.core.geometry.geometry import Array
+
+CONFIRMED = 3
+"""Number of successive images that must show a change."""
+FORGOTTEN = 10
+"""Number of images after which a lasting change of too few cells becomes usual."""
+LONGEST_GAP_S = 0.5
+"""Maximum time between two images without a gap in the observation."""
+LONGEST_REST_S = 60.0
+"""Maximum rest that a cell needs."""
+KEPT_REST = 0.75
+"""Share of the required rest that a cell keeps after a reported change: the next press comes within three seconds."""
+_SHARE = 0.3
+"""Weight of a new image in the usual appearance."""
+
+
+class ScreenWatch:
+    """Cells of one screen.
+
+    Parameters
+    ----------
+    shape
+        Rows and columns.
+    change
+        Minimum difference of a changed cell, in grey levels.
+    cells
+        Number of changed cells that count as a change of the screen.
+    rest_s
+        Rest after which a cell counts.
+    """
+
+    def __init__(self, shape: tuple[int, int], change: float, cells: int, rest_s: float) -> None:
+        self._change, self._cells, self._rest_s = change, cells, rest_s
+        self.changed_ns = 0
+        self._usual = self._last = np.zeros((*shape, 3))
+        self._known = np.zeros(shape, bool)
+        self._rest = np.zeros(shape)
+        self._needed = np.full(shape, rest_s)
+        self._age = np.zeros(shape, int)
+        """Number of images that have shown the present change of a cell, 0 without one."""
+        self._begin_ns = np.zeros(shape, np.int64)
+        self._last_ns, self._light = 0, 1.0
+
+    def add(self, value: Array, seen: npt.NDArray[np.bool_], stamp_ns: int, light: float) -> None:
+        """Add one image.
+
+        Parameters
+        ----------
+        value
+            (rows, columns, 3) mean grey levels of each cell.
+        seen
+            (rows, columns) whether the cell is visible.
+        stamp_ns
+            Of the image.
+        light
+            Brightness of the room; 1 is usual.
+        """
+        gap_s = min((stamp_ns - self._last_ns) / 1e9, LONGEST_GAP_S) if self._last_ns else 0.0
+        quiet = unlit(value, self._last, light / self._light) < self._change / 2
+        off = unlit(value, self._usual, light) > self._change
+        first = seen & ~self._known
+        begins = seen & self._known & off & (self._age == 0) & (self._rest >= self._needed)
+        lasts = seen & off & quiet & (self._age > 0)
+        fails = seen & (self._age > 0) & ~lasts
+        self._age[lasts] += 1
+        self._age[begins], self._begin_ns[begins] = 1, stamp_ns
+        # The change ended or continues: this cell changes by itself.
+        self._age[fails], self._rest[fails] = 0, 0.0
+        self._needed[fails] = np.minimum(2.0 * self._needed[fails], LONGEST_REST_S)
+        self._accept(value)
+        calm = seen & (self._age == 0)
+        self._rest = np.where(calm, np.where(quiet, self._rest + gap_s, 0.0), self._rest)
+        slow = np.where(calm[..., None], self._usual + _SHARE * (value - self._usual), self._usual)
+        self._usual = np.where(first[..., None], value, slow)
+        self._rest[first] = 0.0
+        self._known |= seen
+        self._last = np.where(seen[..., None], value, self._last)
+        self._last_ns, self._light = stamp_ns, light
+
+    def _accept(self, value: Array) -> None:
+        """Report a change that enough cells confirm; accept a change of too few cells as usual."""
+        confirmed = self._age >= CONFIRMED
+        if int(confirmed.sum()) >= self._cells:
+            # The latest stamp at or after which the required number of cells started to change.
+            self.changed_ns = int(np.sort(self._begin_ns[confirmed])[-self._cells])
+            self._rest[confirmed] = KEPT_REST * self._needed[confirmed]
+        elif (old := self._age >= FORGOTTEN).any():
+            confirmed = old
+        else:
+            return
+        self._usual = np.where(confirmed[..., None], value, self._usual)
+        self._age[confirmed] = 0
+
+
+def unlit(value: Array, before: Array, light: float) -> Array:
+    """Return the change of cells (rows, columns, channels) that light does not explain, (rows, columns).
+
+    The exposure changes everything that a screen shows, a lamp in the room only what the screen reflects.
+    """
+    low, high = before * min(light, 1.0), before * max(light, 1.0)
+    return np.asarray(np.abs(value - np.clip(value, low, high)).max(axis=-1))

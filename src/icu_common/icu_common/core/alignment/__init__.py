@@ -1,0 +1,1 @@
+"""Values of rotated cameras and deviating layouts that the programs exchange."""

@@ -1,0 +1,1 @@
+"""Orders to the robot and its answers: ``intent``, ``sequence`` and ``results``."""

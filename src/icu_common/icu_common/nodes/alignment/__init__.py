@@ -1,0 +1,1 @@
+"""Conversion of values about cameras and layouts to messages and back."""

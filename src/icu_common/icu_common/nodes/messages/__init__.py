@@ -1,0 +1,1 @@
+"""The only place where messages are packed and unpacked; everything else works on numpy arrays and dataclasses."""

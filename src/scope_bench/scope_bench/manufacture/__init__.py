@@ -1,0 +1,1 @@
+"""The panel as manufactured and aged; the robot gets the nominal layout file."""

@@ -1,0 +1,82 @@
+"""False and missed changes of the bench's screen over an hour of simulated time; only the screen is drawn."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import cv2
+import numpy as np
+import pytest
+from parameter_files import CONFIG
+
+from harris_perception.core.recognition.panel_state import StateConfig, _Screen
+from icu_common.core.panel.panel_layout import load_layout
+from scope_bench.core import screen
+from scope_bench.core.instrument import InstrumentState, press
+
+RATE_HZ = 5.0
+HOUR_S = 3600.0
+JITTER_PX = 0.15
+"""Scatter of the panel's pose in the screen's own pixels."""
+NOISE = 1.6
+
+
+class WatchedScreen:
+    """The screen as the left camera sees its cells, five times a second."""
+
+    def __init__(self, seed: int) -> None:
+        print(f"seed {seed}")
+        layout = load_layout(CONFIG / "scopes" / "dso_bench_4.yaml")
+        control = next(c for c in layout.controls if c.kind == "touch_area")
+        self.watch = _Screen(control, StateConfig())
+        places = self.watch.points_m[:, :2] * 1e3 - control.position_mm
+        width, height = screen.SIZE_PX
+        self._x = ((places[:, 0] / control.size_mm[0] + 0.5) * width - 0.5).astype(np.float32)
+        self._y = ((0.5 - places[:, 1] / control.size_mm[1]) * height - 0.5).astype(np.float32)
+        self._rng = np.random.default_rng(seed)
+        self._still_of: InstrumentState | None = None
+        self.count = 0
+
+    def look(self, state: InstrumentState) -> int:
+        """Take one image; return the stamp of the last change, 0 for none."""
+        if state != self._still_of:
+            self._still_of, self._still = state, screen.still_part(state, screen.SIZE_PX)
+        self.count += 1
+        now_s = self.count / RATE_HZ + self._rng.uniform(-0.01, 0.01)
+        drawn = screen.with_traces(self._still, state, now_s, self._rng.standard_normal((2, 364)))
+        drawn = cv2.GaussianBlur(drawn, (0, 0), 1.17)  # lens and pixels, as Renderer
+        x, y = self._rng.normal(0.0, JITTER_PX, 2).astype(np.float32)
+        seen = cv2.remap(drawn, (self._x + x)[None], (self._y + y)[None], cv2.INTER_LINEAR)[0] * 0.9 + 15.0
+        seen = seen + self._rng.normal(0.0, NOISE, seen.shape)
+        self.watch.add(seen, np.zeros(len(seen), bool), self.stamp_ns, 1.0)
+        return self.watch.changed_ns
+
+    @property
+    def stamp_ns(self) -> int:
+        return 10**12 + round(1e9 * self.count / RATE_HZ)
+
+
+@pytest.mark.timeout(600)
+def test_an_hour_of_running_traces_changes_no_screen() -> None:
+    watched = WatchedScreen(1)
+    changes: list[int] = []
+    for _ in range(round(HOUR_S * RATE_HZ)):
+        changed = watched.look(InstrumentState())
+        if changed and changed not in changes:
+            changes.append(changed)
+    images = watched.count
+    print(f"{len(changes)} false changes in {images} images")
+    assert len(changes) < 0.001 * images / (4.0 * RATE_HZ), "of the looks for an effect, four seconds each, under 0.1 %"
+
+
+@pytest.mark.parametrize("seed", (1, 2, 3))
+@pytest.mark.parametrize("name", ["AUTO_SET", "SAVE", "MENU", "CURSORS", "SINGLE"])
+def test_what_a_key_changes_on_a_running_screen_is_seen(name: str, seed: int) -> None:
+    watched, state = WatchedScreen(seed), InstrumentState()
+    for _ in range(round(15 * RATE_HZ)):
+        assert watched.look(state) == 0
+    after = press(state, name, watched.count / RATE_HZ)
+    if name == "SINGLE":  # it waits for its trigger first
+        after = dataclasses.replace(after, running=False, phase_s=after.single_until_s, single_until_s=0.0)
+    begin = watched.stamp_ns
+    assert [watched.look(after) for _ in range(5)][-1] > begin, "within a second"
