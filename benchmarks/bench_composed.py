@@ -1,6 +1,6 @@
-"""All nodes in one process (bring_up --composed) against one process each: CPU, memory, delay, time of a press.
+"""Compare all nodes in one process (bring_up --composed) with one process each: CPU, memory, delay, time of a press.
 
-Both run the same graph on the simulated bench, in turns, from one stored calibration.
+Both run the same graph on the simulated bench, alternately, from one stored calibration.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ SIMULATED = ("bench", "mock_grbl")
 
 
 def measure(folder: Path, domain: int, seconds: float, presses: int, *extra: str) -> dict[str, float]:
-    """Measure one start of the graph; the simulated device's own use is left out."""
+    """Measure one start of the graph, without the simulated device's own use."""
     with watched(folder, domain, *extra) as (graph, watcher):
         ours = [pid for name, pid in programs(graph.process.pid).items() if name not in SIMULATED]
         watcher.spin(30.0, lambda: len(watcher.ages_ms) > 30)

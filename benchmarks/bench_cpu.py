@@ -1,7 +1,8 @@
-"""CPU of the whole graph, process by process: at rest, while pressing, and on a small computer.
+"""Measure the CPU time of each process of the graph: at rest, while pressing, and on a small computer.
 
-No page is open. A small computer is the same one with a quota of processor time: two cores at half the clock. The sums
-are compared with those of the graph before images were taken on demand, on the same computer (docs/decisions/speed.md).
+No page is open. The small computer is the same one with a quota of processor time: two cores at half the clock rate.
+The sums are compared with those of the graph before images were read on demand, on the same computer
+(docs/decisions/speed.md).
 """
 
 from __future__ import annotations
@@ -23,28 +24,31 @@ from watched_graph import RunningGraph, Watcher, median, press, programs, usage,
 
 CONTROL = "RUN_STOP"
 BEFORE = {"at rest": 110.3, "pressing": 128.0}
-"""Sums in % of one core before images were taken on demand."""
+"""Sums in % of one core before images were read on demand; the guard was part of the driver at that time."""
 LIMITS = {"at rest": 73.0, "pressing": 85.0}
+"""Limits in % of one core: two thirds of BEFORE, including gantry_guard."""
+SIMULATOR = ("bench", "mock_grbl")
+"""Programs that simulate cameras, panel and board; a real robot does not run them."""
 SMALL_CORES = 1.0
-"""Two cores at half the clock have the time of one."""
+"""Quota in cores: two cores at half the clock rate have the processor time of one."""
 RATE_HZ = 15.0
 _JITTER = 0.97
-"""Part of the rate that a count over some seconds shows at least when no image is lost."""
+"""Minimum share of the rate in a count over some seconds without lost images."""
 _SETTLED_S = 8.0
-"""At its start the graph compares the panel's depth with stereo, which is not rest."""
+"""Seconds after the start in which the graph compares the panel's depth with stereo, so it is not at rest."""
 _CAMERA, _TRACKER = "camera", "stylus_tracker"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Load:
-    """What the graph used during one span of time.
+    """CPU use of the graph during one interval.
 
     Attributes
     ----------
     percent
-        Of one core, by program.
+        Percent of one core, by program.
     pairs_hz
-        Pairs of images published, and those in which the stylus tracker has looked for the tip.
+        Rates of published image pairs, and of pairs in which the stylus tracker searched the tip.
     """
 
     percent: dict[str, float]
@@ -53,8 +57,13 @@ class Load:
 
     @property
     def sum(self) -> float:
-        """Of all programs, % of one core."""
+        """Sum of all programs, % of one core."""
         return sum(self.percent.values())
+
+    @property
+    def robot(self) -> float:
+        """Sum of the programs that a real robot runs, % of one core."""
+        return sum(percent for name, percent in self.percent.items() if name not in SIMULATOR)
 
 
 def load_during(pids: dict[str, int], watcher: Watcher, action: Callable[[], object]) -> Load:
@@ -78,7 +87,7 @@ def _cpu_s(pids: dict[str, int]) -> dict[str, float]:
 
 
 def _counts(watcher: Watcher) -> tuple[tuple[float, int], tuple[float, int]]:
-    """Return when, and how many pairs, the camera has published and the tracker has looked at."""
+    """Return the time, and the numbers of pairs published by the camera and searched by the tracker."""
     watcher.spin(30.0, lambda: {_CAMERA, _TRACKER} <= watcher.reports.keys())
     (camera_s, camera), (tracker_s, tracker) = watcher.reports[_CAMERA], watcher.reports[_TRACKER]
     return (camera_s, int(camera["pictures"])), (tracker_s, int(tracker["seen"]) + int(tracker["missed"]))
@@ -87,7 +96,7 @@ def _counts(watcher: Watcher) -> tuple[tuple[float, int], tuple[float, int]]:
 def measure(
     folder: Path, domain: int, seconds: float, presses: int, started: Callable[[int], None]
 ) -> tuple[dict[str, Load], float]:
-    """Start the graph once and measure it at rest and while pressing; return that and the part of presses reached."""
+    """Start the graph and measure it at rest and while pressing; return the loads and the share of presses reached."""
     found: dict[str, Load] = {}
     with watched(folder, domain, corners=False, started=started) as (graph, watcher):
         pids = programs(graph.process.pid)
@@ -114,6 +123,7 @@ def _table(loads: dict[str, Load]) -> None:
     for program in programs_by_cost:
         print(f"{program:<24}" + "".join(f"{load.percent[program]:>12.1f}" for load in loads.values()))
     print(f"{'sum':<24}" + "".join(f"{load.sum:>12.1f}" for load in loads.values()))
+    print(f"{'without the simulator':<24}" + "".join(f"{load.robot:>12.1f}" for load in loads.values()))
     print(f"{'image pairs/s':<24}" + "".join(f"{load.pairs_hz:>12.2f}" for load in loads.values()))
 
 
@@ -122,6 +132,7 @@ def _free_rows(loads: dict[str, Load]) -> list[Row]:
     for name, load in loads.items():
         rows.append(bound(f"graph {name}: CPU of all programs, % of one core", load.sum, LIMITS[name]))
         rows.append(row(f"graph {name}: the same, against before", load.sum, BEFORE[name], "images always taken"))
+        rows.append(row(f"graph {name}: CPU without the simulator, % of one core", load.robot, None, ""))
         rows.append(row(f"graph {name}: CPU for a pair of images, ms", 10.0 * load.sum / load.pairs_hz, None, ""))
         rows += [
             row(f"graph {name}: {program}, % of one core", percent, None, "")
@@ -131,7 +142,7 @@ def _free_rows(loads: dict[str, Load]) -> list[Row]:
 
 
 def _small_rows(folder: Path, domain: int, seconds: float, presses: int) -> list[Row]:
-    """Measure with the quota; without one print why not and return nothing."""
+    """Measure with the quota; if there is none, print the reason and return no rows."""
     rows = []
     try:
         with cpu_quota(SMALL_CORES) as quota:

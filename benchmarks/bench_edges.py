@@ -1,10 +1,13 @@
-"""Edges against human drawings (BSDS500 form): best F-measure of one threshold for all (ODS) and of the best for each
-picture (OIS), beside OpenCV's and scikit-image's Canny at their best sigma; and the cost of edges beside corners.
+"""Measure edges against human drawings (BSDS500 format), and their cost in addition to corners.
 
-Needs a folder of <name>.jpg and <name>.mat, by default edges/ in the data folder. Ours has its default settings, for
-grey and for color alike. They were chosen for the highest ODS and OIS on every second picture by name (the first, the
-third, ...) of twenty of the train part; the report is about the others, and the peers get the sigma that is best on
-those, for each of both measures. Twenty pictures are few: the halves differ by more than we do.
+Scores are the best F-measure of one threshold for all images (ODS) and of the best threshold for each image (OIS), next
+to OpenCV's and scikit-image's Canny at their best sigma.
+
+The benchmark needs a folder of <name>.jpg and <name>.mat, by default edges/ in the data folder. Ours runs with its
+default settings, for grey and for colour images. They were chosen for the highest ODS and OIS on every second image by
+name (the first, the third, ...) of twenty images of the train part. The report covers the other images, and the peers
+get the best sigma for those, separately for ODS and OIS. Twenty images are few: the halves differ from each other by
+more than ours differs from the peers.
 """
 
 from __future__ import annotations
@@ -18,9 +21,9 @@ from bench_harris import SIZES, picture
 from rows import Row, bound, data_folder, interleaved_ms, row, write
 
 from harris_perception.adapters.boundary_files import drawn_pictures, read_drawn
-from harris_perception.core.boundary_evaluation import Finder, counts_of, ods_ois, our_finders, peer_finders
-from harris_perception.core.edges import EDGE, CombinedDetector, EdgeConfig, EdgeDetector
-from harris_perception.core.harris import HarrisDetector
+from harris_perception.core.corners.harris import HarrisDetector
+from harris_perception.core.edges.edges import EDGE, CombinedDetector, EdgeConfig, EdgeDetector
+from harris_perception.core.evaluation.boundary_evaluation import Finder, counts_of, ods_ois, our_finders, peer_finders
 from icu_common.adapters.memory import keep_large_blocks
 
 Pictures = list[tuple[np.ndarray, list[np.ndarray]]]
@@ -60,7 +63,7 @@ def _rows(what: str, pictures: Pictures) -> list[Row]:
 
 
 def speed() -> list[Row]:
-    """Time of the combined pass beside the corners alone, which it contains, and of outlines."""
+    """Measure the time of the combined pass, of the corners alone, which it includes, and of outlines."""
     cv2.setNumThreads(1)
     rows = []
     corners, combined, outlines = HarrisDetector(), CombinedDetector(), EdgeDetector()

@@ -1,7 +1,7 @@
-"""The first minute beside busy programs: the demo comes up, calibrates, and a press on the page changes the lamp.
+"""Measure the first minute next to busy programs: start, calibration, and a press on the page that changes the lamp.
 
-Each run is a new machine: an empty state folder, a ROS domain and a page of its own. The browser adds to what keeps
-the computer busy. ``--runs 20 --busy 0 2 4 8`` is the whole measurement, ``--plot FILE`` draws it.
+Each run is a new machine with an empty state folder, its own ROS domain and page. The browser adds to the load.
+``--runs 20 --busy 0 2 4 8`` is the whole measurement, ``--plot FILE`` draws it.
 
     .venv/bin/python benchmarks/bench_first_minute.py --busy 0 4 --runs 3
 """
@@ -34,16 +34,16 @@ from system.operator_browser import OPTIONS, Operator, browser_program  # noqa: 
 
 BRING_UP = ROOT / "ros2_ws" / "install" / "scope_bench" / "lib" / "scope_bench" / "bring_up"
 KEPT = OUT / "first_minute_runs.json"
-"""All runs, written after each of them: the whole measurement takes hours."""
+"""File of all runs, written after each run, because the whole measurement takes hours."""
 READY_S = 900.0
 READY_GOAL_S = 45.0
-"""Of a new machine on two free cores."""
+"""Goal in seconds for a new machine on two idle cores."""
 FIRST_DOMAIN = 150
 
 
 @dataclass(slots=True)
 class Run:
-    """One first minute; times in wall seconds since the start of bring-up."""
+    """Result of one run; times in wall seconds since the start of bring-up."""
 
     busy: int
     up_s: float = float("nan")
@@ -52,7 +52,7 @@ class Run:
     """Duration of the press, from the confirming click to the row "done"."""
     ended_s: float = float("nan")
     factor: float = float("nan")
-    """Simulation factor as the page showed it before the press."""
+    """Simulation factor shown on the page before the press."""
     error_mm: float = float("nan")
     why: str = ""
     lines: list[str] = field(default_factory=list)
@@ -114,7 +114,7 @@ def first_minute(browser: Any, busy: int, number: int, extra: list[str]) -> Run:
                 press(browser, address, run)
         except (AssertionError, Exception) as error:
             run.why = f"{type(error).__name__}: {error}"
-        finally:  # also after Ctrl-C
+        finally:  # also on Ctrl-C
             begin_s = time.monotonic()
             graph.send_signal(signal.SIGINT)
             with contextlib.suppress(subprocess.TimeoutExpired):
@@ -126,7 +126,7 @@ def first_minute(browser: Any, busy: int, number: int, extra: list[str]) -> Run:
 
 
 def press(browser: Any, address: str, run: Run) -> None:
-    """Press RUN/STOP as a person does, and see the lamp change."""
+    """Press RUN/STOP as a person does, and wait until the lamp changes."""
     person = Operator(browser, address)
     try:
         person.takes_control()
@@ -149,7 +149,7 @@ def press(browser: Any, address: str, run: Run) -> None:
 
 
 def plot(runs: list[Run], path: Path) -> None:
-    """Draw time to ready and simulation factor over the number of busy programs."""
+    """Plot time to ready and simulation factor over the number of busy programs."""
     import matplotlib
 
     matplotlib.use("Agg")
@@ -167,7 +167,7 @@ def plot(runs: list[Run], path: Path) -> None:
 
 
 def rows_of(runs: list[Run]) -> list[Row]:
-    """Return what is claimed."""
+    """Return the rows of the claims."""
     found = []
     for busy in sorted({run.busy for run in runs}):
         mine = [run for run in runs if run.busy == busy]

@@ -1,9 +1,9 @@
-"""Latency from a picture's stamp to its corners through the graph: three processes, 1280x720 bgr8 at 30 Hz.
+"""Measure the latency from an image's stamp to its corners through the graph: three processes, 1280x720 bgr8 at 30 Hz.
 
-One process publishes, one is the corners node, this one receives. The peer is the same node with goodFeaturesToTrack
-in the detector's place, so that transport, conversion and executor are the same for both. A picture counts as lost when
-its corners have not come a second after the last picture was sent. Those before the first that was answered are told
-apart: the camera's side of the middleware may find the node before the node has found the camera.
+One process publishes, one is the corners node, this one receives. The peer is the same node with goodFeaturesToTrack in
+place of the detector, so that transport, conversion and executor are the same for both. An image counts as lost if its
+corners have not arrived one second after the last image was sent. Images before the first answered one are counted
+separately: the camera's middleware may discover the node before the node has discovered the camera.
 """
 
 from __future__ import annotations
@@ -29,10 +29,11 @@ from rclpy.node import Node
 from rows import Row, bound, row, write
 from sensor_msgs.msg import Image, PointCloud2
 
-from harris_perception.core.harris import Corners, HarrisConfig
+from harris_perception.core.corners.harris import Corners, HarrisConfig
 from harris_perception.nodes.corners_node import CornersNode
 from icu_common.nodes import qos
-from icu_common.nodes.conversions import header, image_message, stamp_ns
+from icu_common.nodes.messages.cameras import image_message
+from icu_common.nodes.messages.heads import header, stamp_ns
 from icu_common.nodes.runtime import prepare_transport, run
 
 RATE_HZ = 30.0
@@ -40,7 +41,7 @@ SETTINGS = HarrisConfig(gradient="sobel")
 
 
 class Camera(Node):
-    """Publishes ``count`` pictures at the rate once the corners node listens, then ends."""
+    """Publishes ``count`` images at the rate once the corners node subscribes, then ends."""
 
     def __init__(self, count: int) -> None:
         super().__init__("camera")
@@ -59,12 +60,12 @@ class Camera(Node):
         self.left -= 1
 
     def wait_until_received(self) -> None:
-        """Wait for the readers, or the last picture would go with the publisher."""
+        """Wait until the readers have received all images; otherwise the last one would be lost with the publisher."""
         self._publisher.wait_for_all_acked(Duration(seconds=2))
 
 
 class GoodFeatures:
-    """cv2.goodFeaturesToTrack in the shape of HarrisDetector."""
+    """cv2.goodFeaturesToTrack with the interface of HarrisDetector."""
 
     def detect(self, gray: np.ndarray) -> Corners:
         found = cv2.goodFeaturesToTrack(gray, 2000, 0.01, 0, blockSize=3, useHarrisDetector=True, k=0.04)

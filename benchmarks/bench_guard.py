@@ -1,21 +1,23 @@
 """Measure the guard's reaction to each fault in each phase: seconds to hold and to lift, by the board's own record.
 
-The driver's node and its guard run in processes of their own; the board is ``mock_grbl`` in real time. After each fault
-the board's log gives the first hold (or reset, while homing), and the motors' position shows when the stylus is up.
-``--write`` writes the table to docs/explanation/guard.md. The last row is the time from a question to the guard to its
-answer over the socket.
+The driver's node and its guard run in separate processes, under bring-up if both are killed; the board is ``mock_grbl``
+in real time. After each fault the board's log gives the first hold (or reset, while homing), and the
+motors' position shows when the stylus is up. ``--write`` writes the table to docs/explanation/guard.md. The last row is
+the time from a query to the guard to its answer over the socket.
 """
 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import os
 import random
 import signal
+import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -23,18 +25,18 @@ import numpy as np
 from rows import bound, write
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
-from nodes.guard_rig import DOWN_M, HOMED, GuardRig
+from nodes.guard_rig import DOWN_M, HOMED, BringUpRig, GuardRig
 from ros_rig import Ros, participant
 
 from gantry_driver.adapters.guard.client import GuardLink
-from gantry_driver.core.machine_config import DriverConfig
+from gantry_driver.core.machine.machine_config import DriverConfig
 from icu_common.adapters.direct_stop.line import guard_folder, send_stop, stop_path
 
 PAGE = Path(__file__).resolve().parents[1] / "docs/explanation/guard.md"
 BEGIN, END = "<!-- matrix: begin -->\n", "<!-- matrix: end -->"
 DOMAIN = 88
-HOLD_S, LIFT_S, KILLED_HOLD_S = 0.1, 1.5, 0.5
-"""Limits: seconds to hold and to lift after a fault of the node, and to hold after the guard was killed."""
+HOLD_S, LIFT_S, KILLED_HOLD_S, KILLED_LIFT_S = 0.1, 1.5, 0.5, 2.0
+"""Limits: seconds to hold and to lift after a fault of the node, and after the guard was killed."""
 QUESTIONS = 3000
 
 
@@ -65,7 +67,7 @@ def homing(rig: GuardRig) -> None:
 
 
 def rest(rig: GuardRig) -> None:
-    """Rest with the stylus up."""
+    """Bring the machine to rest with the stylus up."""
 
 
 PHASES: dict[str, Callable[[GuardRig], None]] = {
@@ -94,38 +96,62 @@ def kill_guard(rig: GuardRig) -> None:
     os.kill(rig.guards()[0], signal.SIGKILL)
 
 
+def stop_guard(rig: GuardRig) -> None:
+    os.kill(rig.guards()[0], signal.SIGSTOP)
+
+
 def kill_both(rig: GuardRig) -> None:
-    """Kill the guard and its node, and start the next node at once, as bring-up does."""
-    rig.node.kill()
+    """Kill the node and the guard; bring-up starts both again."""
+    assert isinstance(rig, BringUpRig)
+    rig.kill_node()
     kill_guard(rig)
-    rig.start()
 
 
 def direct_stop(rig: GuardRig) -> None:
     assert send_stop(stop_path(DOMAIN, "/stop_request"), "stop requested")
 
 
+BOTH = "both SIGKILL"
 CAUSES: dict[str, Callable[[GuardRig], None]] = {
     "node SIGKILL": signalled(signal.SIGKILL),
     "node SIGSTOP": signalled(signal.SIGSTOP),
     "node SIGSTOP for 1 s": signalled(signal.SIGSTOP, 1.0),
     "guard SIGKILL": kill_guard,
-    "both SIGKILL": kill_both,
+    "guard SIGSTOP": stop_guard,
+    BOTH: kill_both,
     "direct STOP": direct_stop,
 }
 
 
-def once(ros: Ros, cause: str, phase: str) -> Seen:
-    """Return the result of one fault in one phase, on a new board that opening its port does not reset."""
+@contextlib.contextmanager
+def busy(ros: Ros, count: int) -> Iterator[None]:
+    """Run busy processes, which start one second before the measurement."""
+    code = "while True: pass"
+    running = [subprocess.Popen([sys.executable, "-S", "-c", code]) for _ in range(count)]
+    try:
+        end = time.monotonic() + (1.0 if count else 0.0)
+        while time.monotonic() < end:
+            ros.executor.spin_once(timeout_sec=0.01)
+        yield
+    finally:
+        for process in running:
+            process.kill()
+            process.wait()
+
+
+def once(ros: Ros, cause: str, phase: str, load: int) -> Seen:
+    """Return the result of one fault in one phase, on a new board that restarts at the edge of DTR."""
     with tempfile.TemporaryDirectory() as folder:
-        rig = GuardRig(ros, Path(folder), "--keep-running", stylus_file=f"{folder}/stylus")
+        kind = BringUpRig if cause == BOTH else GuardRig
+        rig = kind(ros, Path(folder), stylus_file=f"{folder}/stylus")
         try:
             rig.op.ready()
             PHASES[phase](rig)
-            since, z, begun_s = rig.entry(), rig.z_mm(), rig.now_s()
-            CAUSES[cause](rig)
-            down = z < HOMED[2] - 0.05
-            lifted_s = rig.until_lifted(30.0) - begun_s if down else None
+            with busy(ros, load):
+                since, z, begun_s = rig.entry(), rig.z_mm(), rig.now_s()
+                CAUSES[cause](rig)
+                down = z < HOMED[2] - 0.05
+                lifted_s = rig.until_lifted(30.0) - begun_s if down else None
             end = time.monotonic() + (0.0 if down else 3.0)
             deepest = z
             while time.monotonic() < end:
@@ -146,7 +172,7 @@ def once(ros: Ros, cause: str, phase: str) -> Seen:
 
 
 def questions() -> np.ndarray:
-    """Return the seconds from a question to its answer over the guard's socket, (n,)."""
+    """Return the seconds from a query to its answer over the guard's socket, (n,)."""
     link = GuardLink(
         DriverConfig(port=f"/dev/none{os.getpid()}"), lambda events: None, stop_path=guard_folder() / "bench"
     )
@@ -182,6 +208,7 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=1, help="seed of the order of the runs")
     parser.add_argument("--causes", nargs="*", default=list(CAUSES), help="faults to run")
     parser.add_argument("--phases", nargs="*", default=list(PHASES), help="phases to run")
+    parser.add_argument("--busy", type=int, default=0, help="busy processes beside each fault")
     parser.add_argument("--write", action="store_true", help="put the table into docs/explanation/guard.md")
     options = parser.parse_args()
     pairs = [(c, p) for c in options.causes for p in options.phases for _ in range(options.repeats)]
@@ -189,7 +216,7 @@ def main() -> int:
     seen: dict[tuple[str, str], list[Seen]] = {}
     with participant(DOMAIN) as ros:
         for cause, phase in pairs:
-            seen.setdefault((cause, phase), []).append(once(ros, cause, phase))
+            seen.setdefault((cause, phase), []).append(once(ros, cause, phase, options.busy))
             print(f"{cause}, {phase}: {seen[cause, phase][-1]}", flush=True)
     head = [f"| fault | {' | '.join(options.phases)} |", "|---" * (len(options.phases) + 1) + "|"]
     lines = [f"| {c} | {' | '.join(cell(seen[c, p]) for p in options.phases)} |" for c in options.causes]
@@ -205,6 +232,8 @@ def main() -> int:
         before, _, rest_of = PAGE.read_text(encoding="utf-8").partition(BEGIN)
         PAGE.write_text(f"{before}{BEGIN}{text}{END}{rest_of.partition(END)[2]}", encoding="utf-8")
     of_node = [s for (c, p), found in seen.items() if c.startswith(("node", "direct")) for s in found]
+    moving = [(c, p) for c, p in seen if c in ("guard SIGKILL", BOTH) and p not in ("rest", "homing")]
+    of_guard = [s for pair in moving for s in seen[pair]]
     rows = [
         bound(
             "guard: seconds to hold after a fault of the node",
@@ -215,6 +244,16 @@ def main() -> int:
             "guard: seconds to lift after a fault of the node",
             max((s.lifted_s or 0.0 for s in of_node), default=0.0),
             LIFT_S,
+        ),
+        bound(
+            "guard: seconds to hold after a kill of the guard",
+            max((s.held_s or 0.0 for s in of_guard), default=0.0),
+            KILLED_HOLD_S,
+        ),
+        bound(
+            "guard: seconds to lift after a kill of the guard",
+            max((s.lifted_s or 0.0 for s in of_guard), default=0.0),
+            KILLED_LIFT_S,
         ),
         bound("guard: question and answer, slowest hundredth [s]", float(high), 0.001),
     ]

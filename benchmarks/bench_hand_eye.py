@@ -1,8 +1,9 @@
-"""Hand-eye calibration over seeds of hidden mechanical errors: is the error as small, and as large, as predicted?
+"""Measure hand-eye calibration over seeds of hidden mechanical errors: actual errors against goal and prediction.
 
-Each seed is one machine: backlash, scale, skew, a leaning stylus axis, motor steps. The whole chain runs on drawn
-pictures: the calibration run moves, the tracker looks at the ball, the solver solves; then the panel is recognised and
-the tip is sent to places all over it, open loop, before any visual correction. The truth is the mechanism's.
+Each seed is one machine with backlash, scale, skew, a tilted stylus axis and motor steps. The whole chain runs on drawn
+images: the calibration run moves, the tracker measures the ball, the solver computes the calibration. Then the panel is
+recognised, and the tip moves to positions all over it, open loop, before any visual correction. The truth comes from
+the simulated mechanism.
 """
 
 from __future__ import annotations
@@ -16,27 +17,29 @@ import numpy as np
 from rows import Row, bound, row, write
 from simulated_robot import LAYOUT, Robot, Studio
 
-from harris_perception.core.calibration_plan import RunConfig
-from harris_perception.core.carriage_camera import shifted
-from harris_perception.core.hand_eye import HandEye, HandEyeConfig
-from harris_perception.core.still_watch import StillConfig
+from harris_perception.core.hand_eye.carriage_camera import shifted
+from harris_perception.core.hand_eye.hand_eye import HandEye, HandEyeConfig
+from harris_perception.core.hand_eye_procedure.calibration_plan import RunConfig
+from harris_perception.core.hand_eye_procedure.still_watch import StillConfig
 from icu_common.adapters.memory import keep_large_blocks
-from icu_common.core.geometry import Array
+from icu_common.core.geometry.geometry import Array
 from scope_bench.core.configuration import BenchConfig, CameraConfig
 from scope_bench.core.renderer import base_from_panel
 
 AIM_P95_MM = 0.5
 CHI_SQUARE, _MACHINES = (0.8, 1.2), 50
-"""The mean over so many machines is judged; that of fewer scatters beyond these bounds, and is only told."""
+"""Bounds of the mean chi-square, and minimum number of machines for a verdict.
+
+A mean of fewer machines scatters beyond the bounds and is only reported."""
 _BALL_M = 0.002
 STILL = StillConfig(panels=1)
-"""As the node is configured with cameras on the carriage; with fixed ones it needs no panel."""
+"""Configuration of the node with cameras on the carriage; with fixed cameras it needs no panel."""
 ON_CARRIAGE = CameraConfig(mounting="carriage", aim_m=(0.0, 0.012, -0.022))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Outcome:
-    """One seed: errors in metres, chi-squares per degree of freedom."""
+    """Result of one seed: errors in metres, chi-squares per degree of freedom."""
 
     chi_square: float
     factor: float
@@ -49,20 +52,20 @@ class Outcome:
 
 
 def panel_grid() -> Array:
-    """Return (N, 3) places in panel_link, m, all over the face."""
+    """Return positions (N, 3) in panel_link, m, all over the face."""
     width, height = (side / 1000 for side in LAYOUT.size_mm)
     xs, ys = np.linspace(0.008, width - 0.008, 8), np.linspace(0.008, height - 0.008, 5)
     return np.array([(x, y, 0.0) for y in ys for x in xs])
 
 
 def queries() -> Array:
-    """Return (N, 3) readings, spread over the calibrated volume and down to the panel."""
+    """Return readings (N, 3), spread over the calibrated volume and down to the panel."""
     return np.array([(x, y, z) for x in (0.04, 0.18, 0.32) for y in (0.04, 0.17) for z in (0.0, 0.03)])
 
 
 def aim_errors(robot: Robot, calibration: HandEye) -> Array:
-    """Send the tip to each place of the panel by calibration and recognition alone; return (N,) m beside it."""
-    # With cameras on the carriage the panel is looked at from the middle of the table.
+    """Move the tip to each panel position by calibration and recognition alone; return the lateral errors (N,) m."""
+    # Cameras on the carriage look at the panel from the middle of the table.
     look = np.array([0.18, 0.1, 0.0]) if calibration.on_carriage else np.zeros(3)
     robot.machine.go(look[:2], 0.0)
     now = calibration.camera_from_base
@@ -81,7 +84,8 @@ def aim_errors(robot: Robot, calibration: HandEye) -> Array:
 
 def one(studio: Studio, seed: int) -> Outcome:
     robot = Robot(studio, seed)
-    # As in carriage.yaml: what all sightings of the panel share is larger, and no number of positions reduces that.
+    # As in carriage.yaml: the error common to all sightings of the panel is larger, and more positions do not reduce
+    # it.
     enough = {"enough_m": 0.00004} if studio.on_carriage else {}
     run = RunConfig(mounting=studio.config.camera.mounting, **enough)
     done = robot.calibrate(run, STILL, HandEyeConfig())
@@ -92,7 +96,7 @@ def one(studio: Studio, seed: int) -> Outcome:
         robot.machine.go(np.array([x, y]), extension)
         tip = robot.machine.tip
         if calibration.on_carriage:
-            # What counts is the tip's place relative to the panel, whose origin the calibration predicts.
+            # The error is that of the tip's position relative to the panel, whose origin the calibration predicts.
             tip = tip - studio.base_from_panel.translation
             truth.append(studio.camera_from_base.rotation @ tip)
         else:
@@ -129,7 +133,8 @@ def campaign(mounting: str, seeds: range) -> list[Outcome]:
     studio = Studio(config)
     outcomes: list[Outcome] = []
     for seed in seeds:
-        # Each machine has its panel elsewhere: those that share their pictures would share the recogniser's errors too.
+        # Each machine has its panel at another position: with the same images, the recogniser's errors would be the
+        # same too.
         dx, dy, yaw, tilt = np.random.default_rng((5, seed)).uniform(-1, 1, 4) * (0.004, 0.004, 1.0, 0.4)
         x, y, z = config.panel.position_m
         moved = replace(config.panel, position_m=(x + dx, y + dy, z), yaw_deg=1.2 + yaw, tilt_deg=(tilt, -tilt))
@@ -184,7 +189,7 @@ def main() -> int:
     wanted = [(name, getattr(options, name)) for name in ("fixed", "carriage") if getattr(options, name)]
     columns = ("predicted", "measured", "held-out", "aim rms", "aim p95", "play x", "play y", "sigma x", "sigma y")
     print(f"{'cameras':>8} {'seed':>4} {'chi2/dof':>9} {' '.join(f'{c:>8}' for c in columns)}  [mm]", flush=True)
-    # One process for each mounting, each with its own pictures.
+    # One process for each mounting, each with its own images.
     with ProcessPoolExecutor(max_workers=2, mp_context=multiprocessing.get_context("spawn")) as pool:
         runs = [pool.submit(campaign, name, range(options.first, options.first + count)) for name, count in wanted]
         table = [row for (name, _), run in zip(wanted, runs) for row in rows(run.result(), f"{name} cameras")]

@@ -1,9 +1,9 @@
-"""Time from a grey picture to the list of corners, against OpenCV and scikit-image, one thread and two.
+"""Measure the time from a grey image to the list of corners, against OpenCV and scikit-image, on one and two threads.
 
 All do the same work: 3x3 Sobel, window 3, k 0.04, threshold 1 % of the strongest, 3x3 suppression, all corners, sorted
-by response; ours with sub-pixel positions on top. The peers are measured twice: with malloc keeping large blocks (their
-best case, and the one that the goals are about) and with glibc's default. Agreement is the share of corners on the same
-pixel among those of either list that are at least 3 px inside, without sub-pixel.
+by response; ours also computes sub-pixel positions. The peers are measured twice: with a malloc that keeps large blocks
+(their best case, to which the goals refer) and with glibc's default. Agreement is the share of corners on the same
+pixel, among those of either list at least 3 px from the edge, without sub-pixel positions.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ import cv2
 import numpy as np
 from rows import Row, bound, data_folder, interleaved_ms, row, write
 
-from harris_perception.core.deriche import filtered, recursive_filter
-from harris_perception.core.harris import HarrisConfig, HarrisDetector, gaussian_derivative_taps, gaussian_taps
+from harris_perception.core.corners.harris import HarrisConfig, HarrisDetector, gaussian_derivative_taps, gaussian_taps
+from harris_perception.core.image.deriche import filtered, recursive_filter
 from icu_common.adapters.memory import keep_large_blocks
 
 SIZES = ((640, 480), (1280, 720), (1920, 1080))
@@ -29,7 +29,7 @@ CONFIG = HarrisConfig(gradient="sobel", max_corners=0)
 
 
 def picture(width: int, height: int) -> np.ndarray:
-    """Return a photograph cut or scaled to the size; without the data folder a drawing with noise."""
+    """Return a photograph cropped or scaled to the size; without the data folder, a drawing with noise."""
     folder = data_folder()
     if folder is not None:
         photograph = cv2.imread(str(next((folder / "stereo/aloe").glob("*l*.*g"))), cv2.IMREAD_GRAYSCALE)
@@ -112,10 +112,10 @@ def measure(threads: int, label: str, goals: bool) -> list[Row]:
 
 
 def recursion() -> list[Row]:
-    """Time of derivatives and window of Gaussians: by recursion it does not grow with sigma."""
+    """Measure Gaussian derivatives and window by recursion, whose time does not grow with sigma."""
     cv2.setNumThreads(1)
     gray, rows, ms = picture(1280, 720), [], {}
-    for sigma in (1.0, 4.0, 8.0):  # the window twice as wide: up to 16 px
+    for sigma in (1.0, 4.0, 8.0):  # the window's sigma is twice as large, up to 16 px
         detectors = {
             kind: HarrisDetector(HarrisConfig(gradient=kind, window=kind, sigma_d_px=sigma, sigma_i_px=2.0 * sigma))
             for kind in ("deriche", "gaussian")
@@ -133,7 +133,7 @@ def recursion() -> list[Row]:
 
 
 def five_filters(gray: np.ndarray) -> list[np.ndarray]:
-    """Return gx^2, gy^2, gx gy under a Gaussian window by OpenCV's filters, as one writes it."""
+    """Return gx^2, gy^2, gx gy under a Gaussian window, as usually written with OpenCV's filters."""
     source = gray.astype(np.float32)
     smooth, derivative, window = gaussian_taps(1.0), gaussian_derivative_taps(1.0), gaussian_taps(2.0)
     gx = cv2.sepFilter2D(source, cv2.CV_32F, derivative, smooth)
@@ -142,7 +142,7 @@ def five_filters(gray: np.ndarray) -> list[np.ndarray]:
 
 
 def gaussian() -> list[Row]:
-    """Time of the derivatives and window of Gaussians, and of larger boxes, by kernels as they are."""
+    """Measure Gaussian derivatives and window, and larger boxes, by plain kernels."""
     cv2.setNumThreads(1)
     gray, rows = picture(1280, 720), []
     direct, wide = (

@@ -1,9 +1,9 @@
-"""Touches and knobs on the simulated bench, over several seeds of mechanical errors, against the physical truth.
+"""Measure touches and knobs on the simulated bench over several seeds of mechanical errors, against the physical truth.
 
-Per seed a robot is prepared as in `make demo` (home, calibrate by the cameras, recognise) and then touches named
-controls and free points in turn; the error is the distance of the ball's true centre at first contact from the target.
-Everything runs on a virtual clock (see virtual_robot), so the times are the robot's, whatever this machine is doing.
-There is no peer to run; the published reference is a camera-guided gantry of this kind.
+For each seed, a robot is prepared as in `make demo` (home, calibrate by the cameras, recognise). Then it touches named
+controls and free points in turn. The error is the distance of the ball's true centre from the target at first contact.
+Everything runs on a virtual clock (see virtual_robot), so the times are the robot's and do not depend on this
+computer's load. There is no peer to run; the published reference is a camera-guided gantry of this kind.
 """
 
 from __future__ import annotations
@@ -24,25 +24,25 @@ from rows import OUT, Row, bound, row, write
 sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))
 from virtual_robot import VirtualRobot
 
-from gantry_driver.core.goal_job import LOOKING, Phase
-from icu_common.core.panel_layout import Control, PanelLayout
-from icu_common.core.results import Outcome
+from gantry_driver.core.goals.goal_job import LOOKING, Phase
+from icu_common.core.goals.results import Outcome
+from icu_common.core.panel.panel_layout import Control, PanelLayout
 
 REFERENCE_MM = 5.94
 LOOK_EVERY = 5
-"""Touches between two looks of recognition at the whole panel, which stands still here."""
+"""Number of touches between two recognitions of the whole panel, which does not move here."""
 SPLIT = {
     "move": (Phase.APPROACH, Phase.CORRECT, Phase.LIFT),
     "look": (Phase.LOOK, Phase.MEASURE),
     "touch": (Phase.TOUCH, Phase.CONTACT),
 }
 KNOBS = {"knobs": "dso_bench_4", "dimple": "ventilator_v1"}
-"""Layouts whose knobs are set: by friction on their face, and by the ball in a dimple."""
+"""Layouts with knobs to set: by friction on their face, and by the ball in a dimple."""
 assert {Phase.LOOK, Phase.CONTACT, Phase.MEASURE} <= set(LOOKING)
 
 
 def free_point(layout: PanelLayout, rng: np.random.Generator) -> tuple[float, float]:
-    """Draw a point in mm of the face that is neither on a connector nor too near to something tall."""
+    """Return a random point of the face in mm that is not on a connector and not too near to a tall control."""
     while True:
         x, y = (float(rng.uniform(12, side - 12)) for side in layout.size_mm)
         for c in layout.controls:
@@ -57,20 +57,20 @@ def free_point(layout: PanelLayout, rng: np.random.Generator) -> tuple[float, fl
 
 
 def lies_on(control: Control, x: float, y: float) -> bool:
-    """Tell whether the point (x, y) in mm lies on the control's face."""
+    """Return whether the point (x, y) in mm lies on the control's face."""
     across, up = (abs(p - centre) / (side / 2) for p, centre, side in zip((x, y), control.position_mm, control.size_mm))
     return across**2 + up**2 <= 1 if control.shape == "circle" else max(across, up) <= 1
 
 
 def meant(layout: PanelLayout, x: float, y: float) -> str:
-    """Return the name of the control whose face is under the point, "FACE" for none."""
+    """Return the name of the control whose face is under the point, "FACE" if there is none."""
     inside = [c for c in layout.controls if lies_on(c, x, y)]
     return min(inside, key=lambda c: c.size_mm[0] * c.size_mm[1]).name if inside else "FACE"
 
 
-def touches(seed: int, count: int) -> list[dict[str, Any]]:
-    """Touch ``count`` places of one robot and return what happened to each."""
-    robot = VirtualRobot(seed)
+def touches(seed: int, count: int, room: str) -> list[dict[str, Any]]:
+    """Touch ``count`` positions with one robot; return the result of each touch."""
+    robot = VirtualRobot(seed, room=room)
     robot.prepare()
     layout, rng = robot.layout, np.random.default_rng(1000 + seed)
     named = [c for c in layout.controls if c.kind != "connector"]
@@ -92,6 +92,13 @@ def touches(seed: int, count: int) -> list[dict[str, Any]]:
         contacts = [r for r in records if r["event"] == "contact"]
         pressed = [r["control"] for r in records if r["event"] in ("press", "contact")]
         entry: dict[str, Any] = {"goal": text, "outcome": result.outcome.value, "reason": result.reason}
+        entry["touch"] = "" if result.touch is None else result.touch.value
+        acted = any(r["event"] == "press" and r["control"] == name for r in records)
+        key = any(c.name == name and c.kind == "button" for c in layout.controls)
+        # A press without an effect visible to the cameras counts as a touch, but a claimed contact must be true.
+        entry["false_claim"] = (entry["touch"] == "pressed" and key and not acted) or (
+            entry["touch"] in ("pressed", "touched") and not contacts
+        )
         entry["wrong"] = [p for p in pressed if p != name]
         entry["collisions"] = [r["control"] for r in records if r["event"] == "collision"]
         if contacts:
@@ -105,21 +112,21 @@ def touches(seed: int, count: int) -> list[dict[str, Any]]:
     return done
 
 
-def machine(seed: int, touch_count: int, knob_count: int) -> dict[str, list[dict[str, Any]]]:
-    """Return what one machine did."""
-    done = {"touches": touches(seed, touch_count)}
+def machine(seed: int, touch_count: int, knob_count: int, room: str) -> dict[str, list[dict[str, Any]]]:
+    """Return the results of one machine."""
+    done = {"touches": touches(seed, touch_count, room)}
     for part, layout in KNOBS.items():
-        done[part] = knobs(seed, knob_count, layout) if knob_count else []
+        done[part] = knobs(seed, knob_count, layout, room) if knob_count else []
     return done
 
 
-def _record(seed: int) -> Path:
-    return OUT / f"operating_machine_{seed}.json"
+def _record(seed: int, room: str) -> Path:
+    return OUT / f"operating_{room}_machine_{seed}.json"
 
 
-def knobs(seed: int, count: int, layout: str) -> list[dict[str, Any]]:
-    """Set knobs of one robot to random angles and return what happened to each."""
-    robot = VirtualRobot(seed, layout=layout)
+def knobs(seed: int, count: int, layout: str, room: str) -> list[dict[str, Any]]:
+    """Set knobs with one robot to random angles; return the result for each."""
+    robot = VirtualRobot(seed, layout=layout, room=room)
     robot.prepare()
     rng = np.random.default_rng(2000 + seed)
     names = [c.name for c in robot.layout.controls if c.kind == "knob"]
@@ -139,7 +146,7 @@ def knobs(seed: int, count: int, layout: str) -> list[dict[str, Any]]:
 
 
 def knob_rows(flat: list[dict[str, Any]], how: str) -> list[Row]:
-    """Return the rows about knobs that were turned in one way."""
+    """Return the rows about knobs turned by one method."""
     off, times = [k["off_deg"] for k in flat], [k["time_s"] for k in flat]
     reached = 100 * sum(k["outcome"] == "reached" for k in flat) / len(flat)
     return [
@@ -164,6 +171,7 @@ def summary(seeds: Sequence[int], all_touches: list[list[dict[str, Any]]]) -> li
         bound("touch error, p95 [mm]", float(np.percentile(errors, 95)), 0.5),
         bound("touch error, greatest [mm]", float(errors.max()), 1.0),
         bound("wrong controls touched", float(sum(bool(t["wrong"]) for t in flat)), 0),
+        bound("false claims of a touch", float(sum(bool(t.get("false_claim")) for t in flat)), 0),
         bound("collisions", float(sum(bool(t["collisions"]) for t in flat)), 0),
         bound("error as the robot reports it, mean [mm]", float(np.mean([t["reported_mm"] for t in good])), 0.25),
     ]
@@ -185,13 +193,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--knobs", type=int, default=14, help="of each seed")
     parser.add_argument("--keep", action="store_true", help="take the records of machines that have run before")
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
+    parser.add_argument("--room", default="ideal", help="room in config/rooms (default: %(default)s)")
     options = parser.parse_args(arguments)
     OUT.mkdir(exist_ok=True)
-    wanted = [s for s in options.seeds if not (options.keep and _record(s).exists())]
+    wanted = [s for s in options.seeds if not (options.keep and _record(s, options.room).exists())]
     with ProcessPoolExecutor(options.workers, mp_context=get_context("spawn")) as pool:
-        for seed, record in zip(wanted, pool.map(machine, wanted, [options.touches] * 99, [options.knobs] * 99)):
-            _record(seed).write_text(json.dumps(record, indent=1))
-    records = [json.loads(_record(seed).read_text()) for seed in options.seeds]
+        each = ([value] * len(wanted) for value in (options.touches, options.knobs, options.room))
+        for seed, record in zip(wanted, pool.map(machine, wanted, *each)):
+            _record(seed, options.room).write_text(json.dumps(record, indent=1))
+    records = [json.loads(_record(seed, options.room).read_text()) for seed in options.seeds]
     results = [r["touches"] for r in records]
     turned = {part: [k for r in records for k in r[part]] for part in KNOBS}
     for entry in (k for part in turned.values() for k in part):
@@ -201,11 +211,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         for entry in entries:
             if entry["outcome"] != "reached" or entry["wrong"] or entry["collisions"] or entry.get("error_mm", 0) > 0.5:
                 print(seed, entry)
-    title = f"{options.touches} touches on each of {len(options.seeds)} simulated machines"
+    title = f"{options.touches} touches on each of {len(options.seeds)} simulated machines, room {options.room}"
     rows = summary(options.seeds, results)
     for part, entries in turned.items():
         rows += knob_rows(entries, "" if part == "knobs" else " with a dimple") if entries else []
-    return 0 if write("operating", rows, title=title) else 1
+    return 0 if write("operating" if options.room == "ideal" else f"operating_{options.room}", rows, title=title) else 1
 
 
 if __name__ == "__main__":

@@ -1,12 +1,12 @@
 """Measure the operator page in a real browser with the real driver: delays, stop, many viewers.
 
-The camera's pictures contain the time at which they were made, and the browser reads it from the canvas as soon as it
-is drawn. So "glass to glass" is the time from the camera node's stamp to pixels on the page, without the monitor's own
+The camera's images contain the time at which they were made, and the browser reads it from the canvas as soon as it is
+drawn. So "glass to glass" is the time from the camera node's stamp to pixels on the page, without the monitor's own
 delay. The slow link is a proxy with 3 Mbit/s and 20 ms one way in each direction. A stop is measured from the page's
 key to ``!`` at the mock board. With many viewers, the benchmark also measures the regularity of the operator's
-heartbeat, the age of corners on arrival (from a node on the same pictures), and the bridge's share of a processor: the
+heartbeat, the age of corners on arrival (from a node on the same images), and the bridge's share of a processor: the
 bridge has real-time scheduling, so no other program gets this share. ``--parts floods`` measures STOP while observers
-and strangers flood the server. docs/decisions/operator-page.md compares other ways to show a camera on a page.
+and strangers flood the server. docs/decisions/operator-page.md compares other methods to show a camera on a page.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ def chromium() -> Iterator[Any]:
 
 
 def ages(operator: Operator, seconds: float, warm_s: float = 3.0) -> tuple[np.ndarray, float]:
-    """Return the age in ms of each new picture, and pictures per second."""
+    """Return the age in ms of each new image, and images per second."""
     operator.page.wait_for_selector("#stage:not(.empty)")
     operator.page.evaluate(READER)
     operator.page.wait_for_timeout(1000 * warm_s)
@@ -76,7 +76,7 @@ def glass(name: str, operator: Operator, seconds: float, limit_ms: float) -> lis
 
 
 def round_trips(operator: Operator, count: int) -> list[Row]:
-    """Measure a command's way to the bridge and its answer back, from the page's own connection."""
+    """Measure the round trip of a command to the bridge and its answer, on the page's own connection."""
     took = operator.page.evaluate(
         """async (count) => {
             const { desk } = await import('/page/desk.js');
@@ -96,7 +96,7 @@ def round_trips(operator: Operator, count: int) -> list[Row]:
 
 
 def makes_ready(operator: Operator) -> None:
-    """Take control, enable, home; let the page note when a key is pressed."""
+    """Take control, enable, home; make the page record the time of key presses."""
     page = operator.page
     page.click("#lease-take")
     operator.sees("#chip-driver", "Not homed", within_s=20.0)
@@ -110,16 +110,16 @@ def makes_ready(operator: Operator) -> None:
 
 
 def stops(rig: MachineRig, operator: Operator, count: int) -> list[Row]:
-    """Stop again and again at rest: the driver sends its hold each time, whatever it does."""
+    """Stop repeatedly at rest: the driver sends its hold each time, in any state."""
     took = []
     page = operator.page
     for _ in range(count):
         since = rig.board.mark()
-        # The browser's clock at the key, by the page itself: playwright's own way to the browser is no part of it.
+        # The page records the browser's clock at the key press, so playwright's delay to the browser is not included.
         page.keyboard.press("Escape")
         pressed_s = page.evaluate("() => window.pressed") / 1e3 - (time.time() - time.monotonic())
         took.append(1e3 * (rig.halted_s(since) - pressed_s))
-        page.wait_for_timeout(600)  # a stop of the same person within half a second would be the same stop
+        page.wait_for_timeout(600)  # a stop of the same person within half a second would count as the same stop
         operator.until(lambda: page.is_enabled("#reset"), 5.0, lambda: "reset can be pressed")
         page.click("#reset")
         operator.until(lambda: page.is_hidden("#reset"), 5.0, lambda: page.inner_text("#log"))
@@ -134,7 +134,7 @@ def memory_mb(pid: int) -> float:
 
 
 class Crowd:
-    """Viewers without a browser: all but the last draw each picture, the last one takes nothing any more."""
+    """Viewers without a browser: all but the last acknowledge each image; the last one stops reading."""
 
     def __init__(self, rig: MachineRig, count: int) -> None:
         self._ready = threading.Event()
@@ -189,7 +189,7 @@ class Crowd:
 
 
 def real_time_s(pid: int) -> float:
-    """Return the processor's time of a process's threads that are scheduled before ordinary ones."""
+    """Return the processor time of a process's threads with real-time scheduling."""
     used = 0.0
     for thread in Path(f"/proc/{pid}/task").iterdir():
         if is_real_time(int(thread.name)):
@@ -199,7 +199,7 @@ def real_time_s(pid: int) -> float:
 
 
 class Beside:
-    """The corners node on the camera's pictures, and who hears its corners and the operator's heartbeat."""
+    """The corners node on the camera's images, and a listener to its corners and the operator's heartbeat."""
 
     def __init__(self, rig: MachineRig) -> None:
         corners = executable("harris_perception", "corners")
@@ -216,7 +216,7 @@ class Beside:
         )
 
     def heard(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return, since the last look, the ms from one heartbeat to the next, and the ages of corners in ms."""
+        """Return the ms between heartbeats and the ages of corners in ms, since the last call."""
         assert self._ear.stdin is not None and self._ear.stdout is not None
         self._ear.stdin.write("\n")
         self._ear.stdin.flush()
@@ -240,7 +240,7 @@ def crowd(rig: MachineRig, operator: Operator, seconds: float) -> list[Row]:
         operator.page.click("#lease-take")
     beside = Beside(rig)
     try:
-        # The first time on a computer the node compiles, for a minute or more.
+        # On a computer's first run the node compiles for a minute or more.
         operator.until(lambda: len(beside.heard()[1]), 300.0, lambda: "corners come")
         alone, alone_rate = ages(operator, seconds / 2)
         before = memory_mb(rig.bridge.pid)
@@ -309,7 +309,7 @@ def main() -> int:
 
 
 def render(folder: Path) -> Path:
-    """Return a picture of the bench: what the camera would see, with its detail and noise."""
+    """Return an image of the bench with a camera's detail and noise."""
     picture = folder / "bench.png"
     command = [sys.executable, "-m", "scope_bench.cli.render", "--out", str(picture)]
     subprocess.run(command, check=True, stdout=subprocess.DEVNULL)

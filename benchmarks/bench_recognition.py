@@ -1,11 +1,12 @@
-"""Recognition of the designated panel on seeded renders with known truth, beside ORB and SIFT, and on negatives.
+"""Measure recognition of the panel on seeded renders with known truth, against ORB and SIFT, and on negatives.
 
-Each trial is one picture searched from nothing: from 0.46 to 1.3 m (0.7 to 2 times the bench's distance), tilted up to
-45 degrees, rolled, with one hardship. Success: the centres of all controls within 2 px. A trial counts as wrong when
-three further pictures of the same view agree (the rule in the graph) on a pose that is off by more than 5 px. ORB and
-SIFT get the same template and pictures, their own detector (2000 points), a ratio test at 0.8 and cv2.RANSAC; ArUco
-gets the same views of a panel with two markers of 12 mm, and OpenCV's detector. What peers cannot judge, they report.
-Renders are those of the tests (tests/unit/harris_perception/panel_scene.py); settings were chosen on other seeds.
+Each trial is one image, searched without a previous pose: from 0.46 to 1.3 m (0.7 to 2 times the bench's distance),
+tilted up to 45 degrees, rolled, with one disturbance (hardship). Success: the centres of all controls are within 2 px.
+A trial counts as wrong if three further images of the same view agree (the rule in the graph) on a pose that is off by
+more than 5 px. ORB and SIFT get the same template and images, their own detector (2000 points), a ratio test at 0.8 and
+cv2.RANSAC. ArUco gets the same views of a panel with two markers of 12 mm, and OpenCV's detector. The peers report
+every pose they find, because they cannot judge it. Renders are those of the tests
+(tests/unit/harris_perception/panel_scene.py); settings were chosen on other seeds.
 """
 
 from __future__ import annotations
@@ -26,14 +27,14 @@ from rows import Row, bound, row, write
 sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))
 from unit.harris_perception import panel_scene as scene
 
-from harris_perception.core.fiducials import MarkerFinder
-from harris_perception.core.harris import HarrisDetector
-from harris_perception.core.panel_template import draw_panel, px_from_mm
-from harris_perception.core.planar_pose import inverse, map_points, planar_poses
-from harris_perception.core.pose_agreement import AgreementConfig, PoseAgreement
-from harris_perception.core.recognition import PanelRecogniser
-from icu_common.core.geometry import Transform
-from icu_common.core.panel_layout import PanelLayout, load_layout, parse_layout
+from harris_perception.core.corners.harris import HarrisDetector
+from harris_perception.core.pose.fiducials import MarkerFinder
+from harris_perception.core.pose.planar_pose import inverse, map_points, planar_poses
+from harris_perception.core.pose.pose_agreement import AgreementConfig, PoseAgreement
+from harris_perception.core.recognition.panel_template import draw_panel, px_from_mm
+from harris_perception.core.recognition.recognition import PanelRecogniser
+from icu_common.core.geometry.geometry import Transform
+from icu_common.core.panel.panel_layout import PanelLayout, load_layout, parse_layout
 
 LAYOUT = scene.bench_layout()
 MARKED = parse_layout(
@@ -65,7 +66,7 @@ Finder = Callable[[Any], Transform | None]
 
 @dataclass
 class Score:
-    """What one finder did in one hardship."""
+    """Results of one finder under one disturbance."""
 
     found: int = 0
     good: int = 0
@@ -75,7 +76,7 @@ class Score:
 
 
 def view(rng: np.random.Generator) -> Transform:
-    """Draw a camera from which the whole panel, or most of it, is in the picture."""
+    """Return a random camera pose with the whole panel, or most of it, in the image."""
     distance = float(np.exp(rng.uniform(np.log(0.7), np.log(2.0)))) * 0.65
     return scene.pose(
         LAYOUT,
@@ -88,14 +89,14 @@ def view(rng: np.random.Generator) -> Transform:
 
 
 def error_px(found: Transform, truth: Transform) -> float:
-    """Return the greatest distance in the picture of a control's centre from its place."""
+    """Return the largest distance in the image between a control's centre and its true position."""
     return float(
         np.linalg.norm(CAMERA.project(found.apply(POINTS)) - CAMERA.project(truth.apply(POINTS)), axis=1).max()
     )
 
 
 class Ours:
-    """Recognition as the node does it."""
+    """Recognition as in the node."""
 
     def __init__(self) -> None:
         self.recogniser = PanelRecogniser(LAYOUT)
@@ -108,7 +109,7 @@ class Ours:
 
 
 class Peer:
-    """A usual matcher: detector, brute force, ratio test, RANSAC."""
+    """A standard matcher: detector, brute force, ratio test, RANSAC."""
 
     def __init__(self, name: str) -> None:
         self.detector: Any = cv2.ORB.create(2000) if name == "ORB" else cv2.SIFT.create(2000)
@@ -140,7 +141,7 @@ class Peer:
 
 
 class Markers:
-    """The markers alone."""
+    """Recognition by markers only."""
 
     def __init__(self) -> None:
         self.finder = MarkerFinder(MARKED)
@@ -150,7 +151,7 @@ class Markers:
 
 
 def judge(score: Score, finder: Finder, picture: Callable[[int], Any], truth: Transform) -> None:
-    """Search the first picture, and ask whether further ones agree on something wrong."""
+    """Search the first image, and check whether further images agree on a wrong pose."""
     first = picture(0)
     start = time.process_time()
     found = finder(first)
@@ -172,7 +173,7 @@ def judge(score: Score, finder: Finder, picture: Callable[[int], Any], truth: Tr
 
 
 def negatives(finder: Finder) -> tuple[int, int]:
-    """Return how many pictures without the panel there are, and on how many of them three frames agree on a pose."""
+    """Return the number of images without the panel, and of those on which three frames agree on a pose."""
     wrong = total = 0
     for path in sorted(SCOPES.glob("*.yaml")):
         other = load_layout(path)
@@ -182,7 +183,7 @@ def negatives(finder: Finder) -> tuple[int, int]:
             rng = np.random.default_rng(500 + seed)
             truth = scene.pose(other, distance_m=float(rng.uniform(0.5, 1.0)), below_deg=float(rng.uniform(-30, 30)))
             pictures = [scene.picture(other, CAMERA, truth, scene.Look(), seed=10 * seed + n) for n in range(3)]
-            if other.model == LAYOUT.model:  # the panel itself, in a mirror
+            if other.model == LAYOUT.model:  # the panel itself, mirrored
                 pictures = [np.ascontiguousarray(p[:, ::-1]) for p in pictures]
             agreement = PoseAgreement(AgreementConfig(), LAYOUT.size_mm)
             agreed = None

@@ -1,4 +1,4 @@
-"""Record two cameras of 1280 x 960 grey pixels at 30 Hz, and compare the MCAP writer with the official one."""
+"""Measure recording of two cameras, 1280 x 960 grey at 30 Hz, and compare the MCAP writer with the official one."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from sensor_msgs.msg import Image
 
 from icu_common.nodes import qos
 from icu_common.nodes.runtime import prepare_transport
-from scope_bench.adapters.bags import BagTopic, BagWriter
+from scope_bench.adapters.bag.bags import BagTopic, BagWriter
 
 TOPICS = ("/stereo/left/image_raw", "/stereo/right/image_raw")
 RATE_HZ, WIDTH, HEIGHT = 30, 1280, 960
@@ -35,7 +35,7 @@ def image() -> bytes:
 
 
 def recorded(folder: Path, seconds: float) -> tuple[int, int]:
-    """Return the numbers of recorded and of missing messages of a pair of cameras."""
+    """Return the numbers of recorded and missing messages of a pair of cameras."""
     node = rclpy.create_node("cameras")
     outputs = [node.create_publisher(Image, topic, qos.IMAGES) for topic in TOPICS]
     command = [sys.executable, "-m", "scope_bench.cli.bag_record", *TOPICS, "-o", str(folder / "bag")]

@@ -1,17 +1,17 @@
-"""The serial driver against send-response senders on the same mock board: bytes per second, and how fast a stop is.
+"""Measure the serial driver against send-response senders on the same mock board: throughput and stop latency.
 
 Throughput: 1,500 short moves through the real adapter to ``mock_grbl`` at 115,200 baud, with 0, 4 and 16 ms between the
-board's answer and the host (a USB adapter's timer). Counted at the board, in its own time, from the first to the last
-line it took. The peers send the same lines on the same port: a minimal send-response loop, and ``pygrbl-streamer``, a
-published sender that counts characters as well, with its own defaults.
+board's answer and the host (a USB adapter's timer). Bytes are counted at the board, in its own time, from the first to
+the last accepted line. The peers send the same lines on the same port: a minimal send-response loop, and
+``pygrbl-streamer``, a published sender that also counts characters, with its default settings.
 
 Stop latency: from the call of the service, the publication of the topic and the delivery of SIGTERM to ``!``, while a
-path is being streamed and the cameras' part of the graph runs beside it: simulated pair, corners, stereo, stylus,
-recognition, page. The node runs in a process of its own; for the signal its process only notes that it should end, so
-that the same process can be asked again. Two moments are noted: the driver's write to the port has returned, and the
-board has the byte. Between them lies the pseudo-terminal, whose bytes are carried by an ordinary thread of the kernel
-that waits for its turn beside the cameras, which those of a serial port do not. The node asks for real-time scheduling
-as the program does, and so do the two that measure: who asks, and the board that notes when the byte came.
+path is being streamed and the cameras' part of the graph is running: simulated pair, corners, stereo, stylus,
+recognition, page. The node runs in its own process. On the signal that process does not end, so that it can be measured
+again. Two times are recorded: when the driver's write to the port has returned, and when the board has the byte.
+Between them is the pseudo-terminal. An ordinary kernel thread transfers its bytes and competes with the cameras for the
+processor; a serial port has no such thread. The node requests real-time scheduling as the program does. So do the two
+processes that measure: the one that requests the stop, and the board that records the byte's arrival.
 """
 
 from __future__ import annotations
@@ -36,12 +36,12 @@ from pygrbl_streamer import GrblStreamer
 from rows import Row, bound, row, write
 
 from gantry_driver.adapters.guard.places import guard_path
-from gantry_driver.core.machine_config import DriverConfig
-from gantry_driver.core.session import HOLD
-from gantry_driver.core.trajectory_gcode import Waypoint, write_motion
+from gantry_driver.core.grbl.session import HOLD
+from gantry_driver.core.grbl.trajectory_gcode import Waypoint, write_motion
+from gantry_driver.core.machine.machine_config import DriverConfig
 from gantry_driver.core.wire.stages import make_script
 from icu_common.adapters.real_time import DRIVER, ask_for_real_time
-from icu_common.core.frames import JOINTS
+from icu_common.core.geometry.frames import JOINTS
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 from nodes.grbl_board import GrblBoard, LinkRig
@@ -50,9 +50,9 @@ WIRE_BYTES_S = 11_520.0
 MOVES, PEER_MOVES = 1500, 300
 STEP_M = 0.000025
 LATENCIES_MS = {0: 0.95, 4: 0.95, 16: 0.50}
-"""Extra latency, and the share of the wire that is the goal."""
+"""Extra latency in ms, and the goal as a share of the wire's throughput."""
 START = "-356,-216,-1.5"
-"""Where the axes stand at power-up: near the switches, so that homing is short."""
+"""Position of the axes at power-up: near the switches, so that homing is short."""
 
 
 def path(count: int) -> list[tuple[float, float, float]]:
@@ -77,7 +77,7 @@ def board(latency_ms: float) -> Iterator[GrblBoard]:
 
 
 def rate(mock: GrblBoard, count: int) -> float:
-    """Return bytes per second of the moves that the board took; all of them, or it is an error."""
+    """Return bytes per second of the moves that the board accepted; raise if it has not accepted all of them."""
     moves = [entry for entry in mock.lines() if entry["text"].endswith("G53G1")]
     lost = mock.counters().get("bytes_lost_overflow", 0)
     if [entry["text"] for entry in moves] != [t for t in lines(count) if t.endswith("G53G1")] or lost:
@@ -86,7 +86,7 @@ def rate(mock: GrblBoard, count: int) -> float:
 
 
 def ours(latency_ms: float) -> tuple[float, float]:
-    """Return bytes per second and the share of one core that this process used."""
+    """Return bytes per second and this process's share of one core."""
     with board(latency_ms) as mock:
         rig = LinkRig(mock.port)
         try:
@@ -103,7 +103,7 @@ def ours(latency_ms: float) -> tuple[float, float]:
 
 
 def send_response(latency_ms: float) -> float:
-    """One line, one answer: what most of the small senders do."""
+    """Send one line and wait for its answer, as most small senders do."""
     with board(latency_ms) as mock, serial.Serial(str(mock.port), 115200, timeout=30.0, exclusive=True) as port:
         port.read_until(b"unlock]\r\n")
         for text in ("$H", *lines(PEER_MOVES)):
@@ -143,7 +143,7 @@ def ordinary() -> None:
 
 @contextmanager
 def camera_graph() -> Iterator[None]:
-    """Run the graph's cameras and what looks through them, as ``make demo`` does, without anything that moves."""
+    """Run the graph's cameras and perception as ``make demo`` does, without the programs that move the machine."""
     root = Path(__file__).resolve().parents[1]
     with tempfile.TemporaryDirectory() as folder:
         command = [
@@ -167,7 +167,7 @@ def camera_graph() -> Iterator[None]:
 
 
 def run_guard(port: str, holds: str) -> int:
-    """Run the guard as the node starts it, and note each hold that it writes."""
+    """Run the guard as the node starts it, and record each hold that it writes."""
     from gantry_driver.cli import gantry_guard
 
     def write_and_note(fd: int, data: bytes) -> int:
@@ -197,7 +197,7 @@ def run_node(port: str) -> int:
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
 
     def note(number: int, frame: FrameType | None) -> None:
-        """The node's wake-up descriptor has it already."""
+        """Do nothing: the node receives the signal by its wake-up descriptor."""
 
     signal.signal(signal.SIGTERM, note)
     values = {"port": port, "enabled_at_start": True, "trajectory_programs": "*"}
@@ -212,7 +212,7 @@ def run_node(port: str) -> int:
 
 
 def stops(count: int) -> list[Row]:
-    """Return p50 and p99 of each way to stop, beside a running camera graph."""
+    """Return p50 and p99 of each path of a stop, next to a running camera graph."""
     import rclpy
     from rclpy.experimental import EventsExecutor
     from sensor_msgs.msg import PointCloud2
@@ -288,7 +288,7 @@ def stops(count: int) -> list[Row]:
                 ways[name]()
                 until(lambda: states[-1].startswith("stopped"))
                 while states[-1].startswith("stopped"):
-                    # Real-time processes that ask without end use up the share that the kernel gives them all.
+                    # Real-time processes that poll without a pause use up the kernel's real-time share.
                     asked_at = time.monotonic()
                     call("reset")
                     until(lambda at=asked_at: states[-1] == "idle" or time.monotonic() > at + 0.05)
@@ -331,7 +331,7 @@ def main() -> int:
         return run_guard(*given.guard)
     rows = throughput(given.repeats) if given.only != "stops" else []
     rows += stops(given.stops) if given.only != "throughput" else []
-    # Both need the processor within a millisecond or two: on a machine that is busy otherwise they measure its load.
+    # Both need the processor within 1 to 2 ms: on a busy machine they measure its load.
     busy = f"load {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores"
     write("serial_driver", rows, title=f"serial driver: throughput and stop latency ({busy})")
     return 0

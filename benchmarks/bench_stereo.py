@@ -1,10 +1,10 @@
-"""Sparse and dense stereo against OpenCV's matchers: errors on pairs with known disparity, and time.
+"""Measure sparse and dense stereo against OpenCV's matchers: errors on pairs with known disparity, and time.
 
-Dense peers are BM and SGBM with the defaults of image_pipeline's disparity node and the same range of disparities; all
-holes are filled in the same way, and pixels count that both pictures show. Sparse peers are ORB and SIFT. The pairs
-come from the data folder (stereo/), at their own size, and three more are drawn from its photographs; without it only
-the time is measured. Time is from rectified grey pictures to disparity, at 640x480 with 64 and 128
-disparities, on two threads; the node's time has rectification, colour and both messages on top.
+Dense peers are BM and SGBM with the defaults of image_pipeline's disparity node and the same range of disparities. All
+holes are filled in the same way, and only pixels visible in both images count. Sparse peers are ORB and SIFT. The pairs
+come from the data folder (stereo/), at their own size, and three more are drawn from its photographs; without the
+folder only the time is measured. Time is from rectified grey images to disparity, at 640x480 with 64 and 128
+disparities, on two threads. The node's time also includes rectification, colour and both messages.
 """
 
 from __future__ import annotations
@@ -19,20 +19,22 @@ from simulated_robot import LAYOUT, OUT_OF_SIGHT, Studio
 from stereo_scenes import drawn_scene
 
 from harris_perception.adapters.stereo_folders import scenes
-from harris_perception.core.dense_stereo import DELTA_PX, DenseConfig, DenseStereo, SemiGlobalConfig
-from harris_perception.core.harris import HarrisConfig, HarrisDetector
-from harris_perception.core.stereo_evaluation import ALL_CORNERS, dense_methods, evaluate
-from harris_perception.core.stereo_matching import MatchConfig, Rectifier, disparity_range, match_corners
+from harris_perception.core.corners.harris import HarrisConfig, HarrisDetector
+from harris_perception.core.evaluation.stereo_evaluation import ALL_CORNERS, dense_methods, evaluate
+from harris_perception.core.stereo.dense_stereo import DELTA_PX, DenseConfig, DenseStereo, SemiGlobalConfig
+from harris_perception.core.stereo.stereo_matching import MatchConfig, Rectifier, disparity_range, match_corners
 from icu_common.adapters.memory import keep_large_blocks
-from icu_common.core.camera_model import CameraModel, StereoModel
-from icu_common.nodes.conversions import disparity_message, header, organised_cloud_message
+from icu_common.core.geometry.camera_model import CameraModel, StereoModel
+from icu_common.nodes.messages.cameras import disparity_message
+from icu_common.nodes.messages.clouds import organised_cloud_message
+from icu_common.nodes.messages.heads import header
 from scope_bench.core.configuration import BenchConfig
 from scope_bench.core.instrument import InstrumentState
 from scope_bench.core.renderer import Moment
 
 MEAN_BAD_2 = 3.6
 _DRAWN = (1, 2, 3)
-"""Seeds of the pairs that are drawn; for dense disparity only."""
+"""Seeds of the drawn pairs; for dense disparity only."""
 FRAME_MS = 100.0
 
 
@@ -69,7 +71,7 @@ def errors() -> list[Row]:
 
 
 def on_the_panel() -> list[Row]:
-    """Match the bench's pictures as the node does; the truth of what is printed on the face is a plane."""
+    """Match the bench's images as the node does; the true surface of the face's print is a plane."""
     studio = Studio(BenchConfig())
     stereo, config = studio.stereo, MatchConfig()
     rng, detector = np.random.default_rng(1), HarrisDetector(HarrisConfig(max_corners=2000))
@@ -96,7 +98,7 @@ def on_the_panel() -> list[Row]:
 
 
 def _face_disparity(studio: Studio, left_px: np.ndarray) -> np.ndarray:
-    """Return (N,) the true disparity of rectified pixels (N, 2) that show the flat face, else NaN."""
+    """Return the true disparity (N,) of rectified pixels (N, 2) on the flat face, NaN elsewhere."""
     stereo = studio.stereo
     face = studio.camera_from_base @ studio.base_from_panel
     p = stereo.left.p
@@ -108,7 +110,7 @@ def _face_disparity(studio: Studio, left_px: np.ndarray) -> np.ndarray:
     flat = (at > 3).all(axis=1) & (at[:, 0] < width - 3) & (at[:, 1] < height - 3)
     for control in LAYOUT.controls:
         if control.height_mm > 0:
-            # The cameras look from below and from both sides, so what stands proud hides the face above and beside it.
+            # The cameras look from below and from both sides, so raised controls hide the face above and next to them.
             reach = np.array(control.size_mm) / 2 + 0.7 * control.height_mm + 4
             flat &= (np.abs(at - control.position_mm) > reach).any(axis=1)
     shift = stereo.left.p[0, 2] - stereo.right.p[0, 2]
@@ -136,7 +138,7 @@ def speed() -> list[Row]:
 
 
 def whole_ms() -> float:
-    """Return the time from two raw colour pictures to both messages."""
+    """Return the time from two raw colour images to both messages."""
     k = np.array([[600.0, 0, 319.5], [0, 600, 239.5], [0, 0, 1]])
     p = np.column_stack([k, np.zeros(3)])
     moved = p.copy()
@@ -164,7 +166,7 @@ def pair_ms(stereo: DenseStereo, pair: list[np.ndarray]) -> float:
 
 
 def panel_ms() -> float:
-    """Return the same for the bench's pictures, with the node's parameters there."""
+    """Return the same for the bench's images, with the node's parameters on the bench."""
     studio = Studio(BenchConfig())
     pair = studio.renderer.render(Moment(tip=OUT_OF_SIGHT, state=InstrumentState(), now_s=1.0))
     limits = DenseConfig(min_depth_m=0.4, max_depth_m=1.2, binning=2)

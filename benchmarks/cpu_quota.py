@@ -1,4 +1,4 @@
-"""A quota of processor time for a group of processes, by Linux control groups (version 1 or 2)."""
+"""Quota of processor time for a group of processes, by Linux control groups (version 1 or 2)."""
 
 from __future__ import annotations
 
@@ -11,24 +11,24 @@ from pathlib import Path
 
 ROOT = Path("/sys/fs/cgroup")
 _PERIOD_US = 10_000
-"""Short, so that a process is slowed rather than stopped for a noticeable time."""
+"""Period of the quota: short, so that a process is slowed down instead of paused for a noticeable time."""
 _EMPTY_WITHIN_S = 10.0
 
 
 class NoQuota(Exception):
-    """This system allows no quota; the message is the reason."""
+    """No quota is possible on this system; the message is the reason."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Throttling:
-    """Periods in which the group wanted more than its quota, of all in which it ran."""
+    """Number of periods in which the group needed more than its quota, and of all periods in which it ran."""
 
     throttled: int
     periods: int
 
     @property
     def share(self) -> float:
-        """From 0 to 1."""
+        """Share of throttled periods, 0 to 1."""
         return self.throttled / self.periods if self.periods else 0.0
 
 
@@ -39,11 +39,11 @@ class CpuQuota:
         self._folder = folder
 
     def take(self, pid: int) -> None:
-        """Put a process into the group, and with it all that it starts from now on."""
+        """Add a process to the group, and all processes that it starts from now on."""
         (self._folder / "cgroup.procs").write_text(str(pid))
 
     def throttling(self) -> Throttling:
-        """Return the counts so far."""
+        """Return the current counts."""
         lines = (line.split() for line in (self._folder / "cpu.stat").read_text().splitlines())
         values = {name: int(value) for name, value in lines}
         return Throttling(throttled=values["nr_throttled"], periods=values["nr_periods"])
@@ -51,12 +51,12 @@ class CpuQuota:
 
 @contextlib.contextmanager
 def cpu_quota(cores: float) -> Iterator[CpuQuota]:
-    """Make a cgroup with a quota of the time of ``cores`` cores, on any number of them; remove it at the end.
+    """Create a cgroup with the processor time of ``cores`` cores, on any number of cores; remove it at the end.
 
     Raises
     ------
     NoQuota
-        If the system has no control group for processor time, or does not let us make one.
+        If the system has no control group for processor time, or does not permit creating one.
     """
     folder, quota = _group(), round(cores * _PERIOD_US)
     try:

@@ -1,6 +1,6 @@
-"""Hears the operator's heartbeat and the left corners; tells, for each line that it is given, what came since the last.
+"""Receive the operator's heartbeat and the left corners; for each input line, print the arrivals since the last line.
 
-A JSON list of the moments of the heartbeats and of the ages of the corners, in ms.
+The output is a JSON list of the times of the heartbeats and of the ages of the corners, in ms.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ from std_msgs.msg import Header
 
 from icu_common.adapters.real_time import BRIDGE, ask_for_real_time
 from icu_common.nodes import qos
-from icu_common.nodes.conversions import stamp_ns
+from icu_common.nodes.messages.heads import stamp_ns
 from icu_common.nodes.runtime import prepare_transport
 
 
 def main() -> None:
-    ask_for_real_time(BRIDGE + 1)  # else it would measure how long it waits itself
+    ask_for_real_time(BRIDGE + 1)  # else it would measure its own waiting time
     prepare_transport()
     rclpy.init()
     node = Node("page_listener")

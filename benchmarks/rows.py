@@ -1,6 +1,6 @@
-"""The form of all benchmarks: rows of ours against a peer, printed as a table and written to out/<name>.json.
+"""Rows of all benchmarks: ours against a peer, printed as a table and written to out/<name>.json.
 
-Functions are timed interleaved, so that whatever else the machine does meanwhile falls on all of them alike.
+Functions are timed interleaved, so that other load on the machine affects all of them alike.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ OUT = Path(__file__).parent / "out"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Row:
-    """One claim: ``ratio`` says how many times better ours is, ``goal`` how many times it should be."""
+    """One claim: ours is better by the factor ``ratio``; ``goal`` is the required factor."""
 
     what: str
     ours: float
@@ -39,7 +39,7 @@ def row(
     *,
     higher_is_better: bool = False,
 ) -> Row:
-    """Return a row; times and errors are better when lower. A missing peer (None) leaves ratio and verdict open."""
+    """Return a row; lower is better for times and errors. Without a peer (None) there is no ratio and no verdict."""
     ratio = None
     if peer is not None:
         better, worse = (ours, peer) if higher_is_better else (peer, ours)
@@ -49,7 +49,7 @@ def row(
 
 
 def bound(what: str, value: float, limit: float, *, at_least: bool = False) -> Row:
-    """Return a row for a figure that has a limit and no peer."""
+    """Return a row for a value with a limit and no peer."""
     met = value >= limit if at_least else value <= limit
     return Row(what=what, ours=value, peer=None, peer_name="", ratio=None, goal=limit, met=bool(met))
 
@@ -75,9 +75,9 @@ def _number(value: float | None, width: int) -> str:
 def interleaved_ms(
     functions: Mapping[str, Callable[[], Any]], *, repeats: int = 40, warm: int = 2, slow: Sequence[str] = ()
 ) -> dict[str, float]:
-    """Return each function's time in ms: the quickest tenth of its turns, which is what other load disturbs least.
+    """Return each function's time in ms: the fastest tenth of its turns, which other load affects least.
 
-    The functions take turns; those in ``slow`` have a tenth as many.
+    The functions take turns; those in ``slow`` have a tenth of the turns.
     """
     times: dict[str, list[float]] = {name: [] for name in functions}
     for function in functions.values():
@@ -98,6 +98,6 @@ def interleaved_ms(
 
 
 def data_folder() -> Path | None:
-    """Return the folder of pictures with known truth, from the environment, if there is one."""
+    """Return the folder of images with known truth from the environment, if it is set."""
     name = os.environ.get("ICU_TEST_DATA", "")
     return Path(name) if name and Path(name).is_dir() else None

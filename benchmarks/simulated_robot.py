@@ -1,7 +1,7 @@
-"""The robot without processes: hidden mechanics, drawn pictures, the real tracker, recogniser and calibration run.
+"""Robot without processes: hidden mechanics, drawn images, the real tracker, recogniser and calibration run.
 
-What the nodes do over topics is done here by calls, so that a calibration takes seconds instead of a minute and can be
-repeated over many seeds. The truth comes from scope_bench, which shares no geometry with the perception.
+Calls replace the topics between nodes, so that a calibration takes seconds instead of a minute and can be repeated over
+many seeds. The truth comes from scope_bench, which shares no geometry code with the perception.
 """
 
 from __future__ import annotations
@@ -15,19 +15,19 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from gantry_driver.core import motion_plan
-from gantry_driver.core.motion_plan import MotionConfig
-from harris_perception.core.calibration_plan import RunConfig
-from harris_perception.core.calibration_run import Action, CalibrationRun, Failed, Finished, SendGoal
-from harris_perception.core.hand_eye import HandEyeConfig
-from harris_perception.core.harris import HarrisConfig, HarrisDetector
-from harris_perception.core.recognition import PanelRecogniser, Sighting
-from harris_perception.core.still_watch import StillConfig
-from harris_perception.core.stylus import StylusConfig, StylusTracker
-from icu_common.core.camera_model import CameraModel, StereoModel
-from icu_common.core.geometry import Array, Transform
-from icu_common.core.panel_layout import load_layout
-from icu_common.core.results import GoalResult, Outcome
+from gantry_driver.core.motion import motion_plan
+from gantry_driver.core.motion.motion_plan import MotionConfig
+from harris_perception.core.corners.harris import HarrisConfig, HarrisDetector
+from harris_perception.core.hand_eye.hand_eye import HandEyeConfig
+from harris_perception.core.hand_eye_procedure.calibration_plan import RunConfig
+from harris_perception.core.hand_eye_procedure.calibration_run import Action, CalibrationRun, Failed, Finished, SendGoal
+from harris_perception.core.hand_eye_procedure.still_watch import StillConfig
+from harris_perception.core.recognition.recognition import PanelRecogniser, Sighting
+from harris_perception.core.stylus.stylus import StylusConfig, StylusTracker
+from icu_common.core.geometry.camera_model import CameraModel, StereoModel
+from icu_common.core.geometry.geometry import Array, Transform
+from icu_common.core.goals.results import GoalResult, Outcome
+from icu_common.core.panel.panel_layout import load_layout
 from scope_bench.core.configuration import BenchConfig
 from scope_bench.core.instrument import InstrumentState
 from scope_bench.core.mechanics import Mechanism, draw_errors
@@ -47,7 +47,7 @@ Picture = npt.NDArray[np.uint8]
 
 
 class Studio:
-    """What is slow to make and the same for every seed: the pictures' renderer (without noise) and the recogniser."""
+    """Objects that are slow to create and equal for all seeds: the renderer (without noise) and the recogniser."""
 
     def __init__(self, config: BenchConfig) -> None:
         self.config = config
@@ -60,24 +60,25 @@ class Studio:
         self.recogniser = PanelRecogniser(LAYOUT)
         self.detector = HarrisDetector(HarrisConfig())
         size = (config.camera.height_px + _NOISE_ROOM, config.camera.width_px + _NOISE_ROOM)
-        # A grey value is the weighted mean of three: its noise is 0.67 of theirs.
+        # A grey value is the weighted mean of three values, so its noise is 0.67 of theirs.
         field = np.random.default_rng(7).normal(0.0, 0.67 * config.light.noise, size)
         self.gray_noise = np.rint(field).astype(np.int16)
         self.on_carriage = config.camera.mounting == "carriage"
         self._drawn: dict[tuple[int, int, int], tuple[Array, list[Picture]]] = {}
 
     def stand(self, base_from_panel_now: Transform) -> None:
-        """Put the panel elsewhere."""
+        """Move the panel to another position."""
         self.base_from_panel = base_from_panel_now
         self.renderer.move_panel(base_from_panel_now)
         self._drawn.clear()
 
     def pictures(self, moment: Moment, reading: Array) -> list[Picture]:
-        """Draw what both cameras see, without noise.
+        """Draw the images of both cameras, without noise.
 
-        Cameras on the carriage see another picture wherever it stands, which takes long to draw. So each place is drawn
-        once, where the first machine had it, and for the others moved as the panel's face moves: by some tenths of a
-        millimetre. What stands proud of the face is then up to 0.1 px off; the recogniser does not measure it.
+        Cameras on the carriage have another image at each of its positions, which takes long to draw. So each position
+        is drawn once, at the first machine's actual carriage position. For the other machines the image is shifted as
+        the panel's face shifts, by some tenths of a millimetre. Controls above the face are then off by up to 0.1 px;
+        the recogniser does not measure them.
         """
         if not self.on_carriage:
             return self.renderer.render(moment)
@@ -87,7 +88,7 @@ class Studio:
             self._drawn[key] = np.asarray(moment.carriage), self.renderer.render(away)
         place, drawn = self._drawn[key]
         shift = np.asarray(moment.carriage) - place
-        # The panel is looked for in the left picture only; behind the ball it does not matter.
+        # The panel is searched in the left image only; in the right one it is only background of the ball.
         pictures = [self._shifted(drawn[0], self.renderer.rig.left, shift, place), drawn[1].copy()]
         for picture, view in zip(pictures, self.renderer.views):
             tip = np.asarray(moment.tip) - np.array([*moment.carriage, 0.0])
@@ -95,8 +96,8 @@ class Studio:
         return pictures
 
     def _shifted(self, picture: Picture, camera: Camera, shift: Array, place: Array) -> Picture:
-        """Return the picture from a camera moved by ``shift`` (2,) m; exact for the panel's face."""
-        # The map is smooth: it is worked out at every 32nd pixel.
+        """Return the image from a camera moved by ``shift`` (2,) m; exact for the panel's face."""
+        # The map is smooth, so it is computed at every 32nd pixel.
         v, u = np.mgrid[0 : camera.height + 31 : 32, 0 : camera.width + 31 : 32].astype(np.float64)
         a, b = camera.slopes(u.ravel(), v.ravel())
         rays = np.column_stack([a, b, np.ones_like(a)]) @ camera.camera_from_base.rotation
@@ -127,7 +128,7 @@ def _pixels(height: int, width: int) -> npt.NDArray[np.float32]:
 
 
 class Machine:
-    """Motors, hidden errors and the true tip."""
+    """Motors, hidden errors and the tip's true position."""
 
     def __init__(self, config: BenchConfig, seed: int) -> None:
         self.motion = MotionConfig()
@@ -140,7 +141,7 @@ class Machine:
         self._drive([np.zeros(3)])
 
     def go(self, aim_xy: Array, extension_m: float) -> None:
-        """Travel as the controller does, by way of the approach point."""
+        """Move as the controller does, by way of the approach point."""
         self._drive(motion_plan.travel(self.readings, aim_xy, extension_m, self.motion).points)
 
     def _drive(self, points: Iterable[Array]) -> None:
@@ -152,7 +153,7 @@ class Machine:
 
 
 class Robot:
-    """One machine with its own hidden errors before the studio's cameras."""
+    """One machine with its own hidden errors in view of the studio's cameras."""
 
     def __init__(self, studio: Studio, seed: int) -> None:
         self.studio, self.seed = studio, seed
@@ -163,12 +164,12 @@ class Robot:
         self._noise = self.rng.normal(0.0, studio.config.light.noise, (400, 400, 3)).astype(np.float32)
 
     def calibrate(self, plan: RunConfig, still: StillConfig, solver: HandEyeConfig) -> Finished:
-        """Carry out a whole run.
+        """Carry out a complete calibration run.
 
         Raises
         ------
         RuntimeError
-            If the run fails; with its reason.
+            If the run fails, with the reason.
         """
         run = CalibrationRun(plan, still, solver, self.studio.stereo, self.now_ns)
         waiting: list[Action] = run.start(self.now_ns)
@@ -212,14 +213,14 @@ class Robot:
         return GoalResult(goal_id=str(goal.stamp_ns), goal="", outcome=outcome)
 
     def pictures(self) -> list[Picture]:
-        """Draw what both cameras see now, without noise."""
+        """Draw the current images of both cameras, without noise."""
         x, y, z = (float(v) for v in self.machine.tip)
         a, b = (float(v) for v in self.machine.carriage)
         moment = Moment(tip=(x, y, z), state=InstrumentState(), now_s=0.0, carriage=(a, b))
         return self.studio.pictures(moment, self.machine.readings)
 
     def with_noise(self, pictures: list[Picture]) -> list[Picture]:
-        """Add the sensor's noise around the ball; elsewhere the tracker does not measure."""
+        """Add the sensor's noise around the ball; the tracker does not measure elsewhere."""
         rig = self.studio.renderer.rig
         noisy = []
         for picture, camera in zip(pictures, (rig.left, rig.right)):
@@ -236,12 +237,12 @@ class Robot:
         return noisy
 
     def see_panel(self) -> Transform:
-        """Recognise the panel in the left picture, with noise everywhere: camera_from_panel.
+        """Recognise the panel in the left image, with noise everywhere; return camera_from_panel.
 
         Raises
         ------
         RuntimeError
-            If it is not found.
+            If the panel is not found.
         """
         for _ in range(5):
             seen = self._panel_in(self.pictures())
@@ -251,12 +252,12 @@ class Robot:
 
     def _panel_in(self, pictures: list[Picture]) -> Sighting | None:
         gray = cv2.cvtColor(pictures[0], cv2.COLOR_BGR2GRAY)
-        # One large field of noise, laid over the picture at another place each time.
+        # One large field of noise, added to the image with another offset each time.
         top, left = self.rng.integers(0, _NOISE_ROOM, 2)
         noise = self.studio.gray_noise[top : top + gray.shape[0], left : left + gray.shape[1]]
         gray = cv2.add(gray, noise, dtype=cv2.CV_8U)
         recogniser, camera = self.studio.recogniser, self.studio.stereo.left
-        # As the node does, near the last sighting first; after a long way everywhere.
+        # As the node does: first near the last sighting, after a long move everywhere.
         seen = recogniser.locate(gray, np.empty((0, 2)), camera)
         if seen is None:
             seen = recogniser.locate(gray, self.studio.detector.detect(gray).xy, camera)

@@ -1,8 +1,9 @@
-"""The whole graph at full rate for a long time, pressing a control now and then: nothing may grow.
+"""Run the whole graph at full rate for a long time, with a press now and then: no resource use may grow.
 
-Every ten seconds each process's memory, open files and threads are noted, and how old the corners were when they came.
-The first fifth is warm-up. After it each process may use at most LIMITS more in the last fifth than in the first one
-that counts, compared by medians; the corners' age may rise by a half. Writes a table (CSV), a picture and a verdict.
+Every ten seconds it records each process's memory, open files and threads, and the age of corners on arrival. The first
+fifth of the time is warm-up. The medians of the last fifth are compared with those of the fifth after warm-up: each
+process may use at most LIMITS more, and the corners' age may rise by half. The output is a table (CSV), a plot and a
+verdict.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ WARM_UP = 0.2
 
 
 class Log:
-    """What was noted: one row for each process and moment, and one for each moment's corners and press."""
+    """Recorded values: one row for each process and time, and one for the corners and the press of each time."""
 
     def __init__(self) -> None:
         self.rows: list[dict[str, float | str]] = []
@@ -41,7 +42,7 @@ class Log:
         return np.array([t for t, _ in found], float), np.array([v for _, v in found], float)
 
     def programs(self) -> list[str]:
-        """Return the names that have rows, the corners' own one left out."""
+        """Return the programs that have rows, without that of the corners."""
         return sorted({str(r["program"]) for r in self.rows} - {"corners' age", "press"})
 
 
@@ -81,7 +82,7 @@ def soak(folder: Path, minutes: float, log: Log) -> None:
 
 
 def growth(log: Log, program: str, what: str, minutes: float) -> float:
-    """Return the median of the last fifth less that of the fifth after warm-up."""
+    """Return the median of the last fifth minus that of the fifth after warm-up."""
     times, values = log.series(program, what)
     part = 60.0 * minutes * WARM_UP
     first, last = values[(times >= part) & (times < 2 * part)], values[times >= 60.0 * minutes - part]
@@ -89,7 +90,7 @@ def growth(log: Log, program: str, what: str, minutes: float) -> float:
 
 
 def draw(log: Log, path: Path) -> None:
-    """Draw what was noted over time."""
+    """Plot the recorded values over time."""
     import matplotlib
 
     matplotlib.use("Agg")

@@ -1,7 +1,8 @@
-"""Rectified pairs with exactly known disparity: photographs on slanted surfaces, one before another.
+"""Rectified pairs with exactly known disparity: photographs on slanted surfaces, one in front of another.
 
-Every surface is drawn into both pictures by its own plane of disparities, the nearest last and twice too fine, so that
-its edge is mixed with what is behind it as by a lens; then each picture gets its own blur, light and noise.
+Every surface is drawn into both images by its own plane of disparities, the nearest one last. Drawing is at twice the
+resolution, so that edges blend with the background as through a lens. Then each image gets its own blur, light and
+noise.
 """
 
 from __future__ import annotations
@@ -13,19 +14,19 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from harris_perception.core.stereo_evaluation import StereoScene
+from harris_perception.core.evaluation.stereo_evaluation import StereoScene
 
 _WIDTH, _HEIGHT = 720, 540
 _FINE = 2
 _SURFACES = 14
 _PHOTOGRAPHS = {"planar/graf3.png": 0.0, "planar/leuvenA.jpg": 0.45, "object/box_in_scene.png": 0.0}
-"""Each with the part at its top that is left out: the disparity of an overcast sky, without texture, is unknowable."""
+"""Photographs, each with the share omitted at its top: the disparity of an untextured overcast sky is unknowable."""
 Gray = npt.NDArray[np.float32]
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class _Surface:
-    """A box or an ellipse, of half size ``reach`` (px of the left picture), whose disparity is a x + b y + c."""
+    """A box or an ellipse with half size ``reach`` (px of the left image) and disparity a x + b y + c."""
 
     photograph: Gray
     plane: tuple[float, float, float]
@@ -41,7 +42,7 @@ class _Surface:
         return np.asarray(a * x + b * y + c, np.float32)
 
     def left_of(self, x: Gray, y: Gray) -> Gray:
-        """Return where the left picture shows what the right one shows at x: x + d, and d is linear."""
+        """Return the left image's x of the point at x in the right image: x + d, where d is linear."""
         a, b, c = self.plane
         return np.asarray((x + b * y + c) / (1 - a), np.float32)
 
@@ -51,7 +52,7 @@ class _Surface:
         return np.asarray(np.hypot(p, q) < 1 if self.is_round else np.maximum(np.abs(p), np.abs(q)) < 1)
 
     def shows(self, x: Gray, y: Gray) -> Gray:
-        """Return grey values; beyond its edges the photograph goes on as in a mirror."""
+        """Return grey values; the photograph is mirrored beyond its edges."""
         at = [self.zoom * (value + start) for value, start in zip((x, y), self.corner)]
         seen = cv2.remap(self.photograph, at[0], at[1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT)
         return np.asarray(seen, np.float32)
@@ -86,7 +87,7 @@ def _photograph(path: Path, sky: float) -> Gray:
 
 
 def _drawn_surface(rng: np.random.Generator, photographs: list[Gray], nearness: float | None) -> _Surface:
-    """Return a surface at random with this disparity in its middle, or the wall behind all."""
+    """Return a random surface with this disparity at its centre, or the wall behind all surfaces."""
     slope = rng.uniform(-0.06, 0.06, 2) if nearness is not None else rng.uniform(-0.015, 0.015, 2)
     centre = rng.uniform((45, 0), (_WIDTH, _HEIGHT)) if nearness is not None else np.array([_WIDTH, _HEIGHT]) / 2
     reach = rng.uniform(38, 128, 2) if nearness is not None else np.array([4.0 * _WIDTH, 4.0 * _HEIGHT])
@@ -103,7 +104,7 @@ def _drawn_surface(rng: np.random.Generator, photographs: list[Gray], nearness: 
 
 
 def _taken(fine: Gray, rng: np.random.Generator) -> npt.NDArray[np.uint8]:
-    """Return the picture that a camera with its own focus, light and noise takes."""
+    """Return the image of a camera with its own focus, light and noise."""
     small = cv2.resize(fine, (_WIDTH, _HEIGHT), interpolation=cv2.INTER_AREA)
     blurred = cv2.GaussianBlur(small, (0, 0), rng.uniform(0.4, 0.7))
     lit = rng.uniform(0.94, 1.06) * blurred + rng.uniform(-5, 5) + rng.normal(0, 2.0, small.shape)

@@ -1,7 +1,8 @@
-"""The running graph, watched from outside: what its processes use, and how old its results are."""
+"""Watch the running graph from outside: resource use of its processes, and age of its results."""
 
 from __future__ import annotations
 
+import contextlib
 import os
 import re
 import statistics
@@ -23,13 +24,13 @@ from sensor_msgs.msg import PointCloud2
 from system.conftest import RunningGraph as RunningGraph
 
 from icu_common.nodes import qos
-from icu_common.nodes.conversions import stamp_ns
+from icu_common.nodes.messages.heads import stamp_ns
 from icu_common.nodes.runtime import prepare_transport
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Usage:
-    """What one process uses now."""
+    """Current resource use of one process."""
 
     cpu_s: float
     memory_mb: float
@@ -38,7 +39,7 @@ class Usage:
 
 
 def usage(pid: int) -> Usage:
-    """Read one process's use; memory is the proportional share (PSS), in which a shared page counts once."""
+    """Read the use of one process; memory is the proportional share (PSS), in which a shared page counts once."""
     folder = Path(f"/proc/{pid}")
     fields = (folder / "stat").read_text().rsplit(")", 1)[1].split()
     share = re.search(r"^Pss:\s+(\d+) kB", (folder / "smaps_rollup").read_text(), re.MULTILINE)
@@ -52,27 +53,48 @@ def usage(pid: int) -> Usage:
 
 
 def programs(parent: int) -> dict[str, int]:
-    """Return the names (as in graph.yaml, where the node is named so) and process numbers of bring-up's children."""
+    """Return names (as in graph.yaml) and process ids of the programs that bring-up has started.
+
+    Their child programs are included, such as the guard, a child of the driver.
+    """
     found = {}
-    for line in Path(f"/proc/{parent}/task/{parent}/children").read_text().split():
-        words = Path(f"/proc/{line}/cmdline").read_bytes().decode().split("\0")
+    for child in _children(parent):
+        try:
+            words = Path(f"/proc/{child}/cmdline").read_bytes().decode().split("\0")
+        except FileNotFoundError:
+            continue  # the process has ended meanwhile
         named = [word.removeprefix("__node:=") for word in words if word.startswith("__node:=")]
-        own = "starter" if "scope_bench.cli.fork_server" in words else Path(words[1]).name
-        found[named[0] if named else own] = int(line)
+        named += [name for word in words if (name := _MODULES.get(word))]
+        if len(words) > 1:  # a program that has ended has none
+            found[named[0] if named else Path(words[1]).name] = child
+        found |= programs(child)
     return found
 
 
-class Watcher:
-    """A node beside the graph that notes how old the corners are when they come, and what the nodes report.
+_MODULES = {"scope_bench.cli.fork_server": "starter", "gantry_driver.cli.gantry_guard": "gantry_guard"}
+"""Names of programs started as modules."""
 
-    Without ``corners`` it only listens to the reports: a reader of corners makes the graph find them.
+
+def _children(parent: int) -> list[int]:
+    """Return the children of a process; Linux lists them by the thread that started them."""
+    found: list[int] = []
+    for listed in Path(f"/proc/{parent}/task").glob("*/children"):
+        with contextlib.suppress(FileNotFoundError, ProcessLookupError):
+            found += map(int, listed.read_text().split())
+    return sorted(found)
+
+
+class Watcher:
+    """A node outside the graph that records the age of corners on arrival, and the nodes' reports.
+
+    Without ``corners`` it only receives the reports: a subscriber to corners makes the graph compute them.
     """
 
     def __init__(self, corners: bool = True) -> None:
         self._node = Node("watcher")
         self.ages_ms: list[float] = []
         self.reports: dict[str, tuple[float, dict[str, str]]] = {}
-        """When (monotonic s) each node has reported last, and its values, by the name of its status."""
+        """Time (monotonic s) and values of each node's last report, by the name of its status."""
         if corners:
             self._node.create_subscription(PointCloud2, "/stereo/left/corners", self._on_corners, qos.RESULTS)
         self._node.create_subscription(DiagnosticArray, "/diagnostics", self._on_report, qos.RESULTS)
@@ -87,7 +109,7 @@ class Watcher:
             self.reports[status.name] = time.monotonic(), {pair.key: pair.value for pair in status.values}
 
     def spin(self, seconds: float, until: Callable[[], Any] = lambda: False) -> None:
-        """Serve the node for so long, or until something holds."""
+        """Spin the node for a duration, or until a condition holds."""
         end = time.monotonic() + seconds
         while time.monotonic() < end and not until():
             self._executor.spin_once(timeout_sec=0.05)
@@ -106,14 +128,14 @@ def watched(
     started: Callable[[int], None] = lambda pid: None,
     within_s: float = 180.0,
 ) -> Iterator[tuple[RunningGraph, Watcher]]:
-    """Start the graph on the simulated bench, home and calibrate it, and watch it.
+    """Start the graph on the simulated bench, home and calibrate it, and return a watcher.
 
-    ``extra`` goes to bring_up, whose process ``started`` is told before it has started others; ``corners`` is for
-    :class:`Watcher`, ``within_s`` limits the preparation.
+    ``extra`` is passed to bring_up. ``started`` is called with its process before that starts others. ``corners`` is
+    for :class:`Watcher`, ``within_s`` limits the preparation.
     """
     os.environ["ROS_DOMAIN_ID"] = str(domain)
     prepare_transport()
-    graph = RunningGraph(folder, domain, "--real-time", *extra)  # delays and rates are of the wall clock
+    graph = RunningGraph(folder, domain, "--real-time", *extra)  # delays and rates are measured by the wall clock
     started(graph.process.pid)
     rclpy.init()
     watcher = Watcher(corners)
@@ -128,12 +150,12 @@ def watched(
 
 
 def press(graph: RunningGraph, control: str) -> dict[str, float]:
-    """Press a control by the command line; return its time and error.
+    """Press a control by the command-line program; return time and error.
 
     Raises
     ------
     RuntimeError
-        If it was not reached, with what the program said.
+        If it was not reached, with the program's output.
     """
     done = graph.command("gantry_driver", "gantry_goal", "--control", control)
     found = re.search(r"reached: .* error ([\d.]+) mm.* ([\d.]+) s", done.stdout)
@@ -143,5 +165,5 @@ def press(graph: RunningGraph, control: str) -> dict[str, float]:
 
 
 def median(values: list[float]) -> float:
-    """Return the median, NaN of nothing."""
+    """Return the median, NaN if there are no values."""
     return statistics.median(values) if values else float("nan")
