@@ -95,6 +95,21 @@ def test_driver_holds_and_lifts_when_a_second_program_publishes_trajectories() -
     rig.until(lambda: "reached" in rig.outcomes())
 
 
+@pytest.mark.parametrize("phase", ["HOLDING", "LIFTING", "STOPPED"])
+def test_conflict_during_another_stop_is_named_until_it_ends(phase: str) -> None:
+    rig = Rig().homed()
+    rig.go((0.1, 0.1, 0.03), (0.2, 0.1, 0.03))
+    rig.until(lambda: rig.board.mpos[2] < -30.9)
+    rig.machine.stop("stop requested", rig.now)
+    rig.until(lambda: rig.machine.phase.name == phase)
+    rig.machine.rivals("trajectory", WAY, rig.now)
+    rig.until(lambda: rig.machine.phase.name == "STOPPED")
+    assert rig.states[-1] == f"stopped: stop requested; {WAY}"
+    rig.machine.rivals("trajectory", "", rig.now)
+    rig.run_for(0.1)
+    assert rig.states[-1] == "stopped: stop requested"
+
+
 def test_driver_follows_no_trajectory_that_it_distrusts() -> None:
     rig = Rig().homed()
     way = [Waypoint(positions_m=(0.1, 0.05, 0.06))]

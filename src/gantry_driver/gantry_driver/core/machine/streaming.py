@@ -57,6 +57,14 @@ class Streaming(Proving):
         """Note the programs that publish a topic meant for one source (empty: only one does); several cause a stop."""
         if self._rivals.take(topic, text):
             self.stop(text, now)
+        self._say_if_changed()
+
+    @property
+    def state_text(self) -> str:
+        """The published state; a stop with another reason also names the conflicts that forbid the next motion."""
+        text = super().state_text
+        conflicts = self._rivals.not_in(text) if self.phase.state == "stopped" else ""
+        return f"{text}; {conflicts}" if conflicts else text
 
     def panel(self, plane: PanelPlane, age_s: float, now: float) -> str:
         """Accept the panel's plane, only at rest with the stylus up: a path keeps the plane it was checked with."""

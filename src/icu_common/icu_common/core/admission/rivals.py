@@ -23,6 +23,10 @@ class RivalTopics:
         """Programs and topics of all present conflicts, empty for none."""
         return "; ".join(self._texts.values())
 
+    def not_in(self, text: str) -> str:
+        """Return the present conflicts that a text does not name, joined by ``; ``; empty for none."""
+        return "; ".join(conflict for conflict in self._texts.values() if conflict not in text)
+
     def driver_is(self, state: str) -> None:
         """Forget the cause of the stop once the driver has left it."""
         if state != "stopped" and not self._texts:
