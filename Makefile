@@ -37,7 +37,7 @@ bench: ## measure every speed claim against a peer; results in benchmarks/out/
 	@for file in $(filter-out benchmarks/bench_effects.py,$(wildcard benchmarks/bench_*.py)); do echo "== $$file"; $(VENV)/python $$file || exit 1; done
 
 # Without the tests of the mock board and the controller, which the guard does not run.
-COVER_TESTS := tests/unit/gantry_driver --ignore-glob '*/test_mock_*' --ignore-glob '*/test_controller*' --ignore-glob '*/test_se*'
+COVER_TESTS := tests/unit/gantry_driver $(addprefix --ignore=tests/unit/gantry_driver/,mock goals motion sight contact)
 cover: ## branch coverage of the guard by its tests without ROS: fails below 100 %
 	@scripts/setup.sh dev
 	@mkdir -p artifacts/coverage && $(VENV)/coverage erase

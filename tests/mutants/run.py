@@ -27,7 +27,7 @@ ROOT = Path(__file__).parents[2]
 CORE = ROOT / "src/gantry_driver/gantry_driver/core"
 TESTS = ROOT / "tests/unit/gantry_driver"
 ROOMS = {
-    "guard": ["test_guard_parts.py", "guard"],
+    "guard": ["guard"],
     "envelope": ["envelope"],
 }
 """Folder of ``core`` -> the tests that must detect each change of it."""

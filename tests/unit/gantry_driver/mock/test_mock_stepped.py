@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 from unit.gantry_driver.mock_rig import FREE
-from unit.gantry_driver.test_mock_port import Running, expect, wait_for
+from unit.gantry_driver.mock_service import Running, expect, wait_for
 
 from scope_bench.adapters.motion_client import MotionClient
 

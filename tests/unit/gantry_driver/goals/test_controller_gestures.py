@@ -7,12 +7,12 @@ import math
 
 import numpy as np
 import pytest
-from unit.gantry_driver.controller_bench import BASE_FROM_PANEL, MS, PANEL, Bench, config
+from unit.gantry_driver.controller_bench import BASE_FROM_PANEL, BUTTON_Z, MS, PANEL, Bench, config, details
 
 from gantry_driver.core.goals import controller_messages as msg
 from gantry_driver.core.goals.goal_job import Phase
 from icu_common.core.configuration.config import ConfigError
-from icu_common.core.goals.results import GoalResult, Outcome
+from icu_common.core.goals.results import Outcome
 from icu_common.core.panel.panel_layout import Dimple
 
 
@@ -22,18 +22,11 @@ def seeing(**changes: object) -> Bench:
     return bench.start()
 
 
-def details(result: GoalResult) -> dict[str, str]:
-    return dict(result.details)
-
-
 def contacts(bench: Bench, height_m: float) -> list[tuple[int, int]]:
     """Return first and last index of each time that the tip was below a height over base_link."""
     below = np.array([tip[2] for tip in bench.lowest]) < height_m
     edges = np.flatnonzero(np.diff(np.concatenate([[0], below.astype(int), [0]])))
     return [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2])]
-
-
-BUTTON_Z = float(BASE_FROM_PANEL.apply([0.208, 0.127, 0.003])[2]) + 0.002
 
 
 def test_double_press_touches_twice_within_half_a_second() -> None:

@@ -30,7 +30,7 @@ BOARD = CONFIG.machine
 HZ, SPEED, SLOWING = CONFIG.touch_status_rate_hz, BOARD.max_rate_mm_min[2] / 60.0, BOARD.acceleration_mm_s2[2]
 STOP_MM = clearance.stopping_way_mm(BOARD.max_rate_mm_min[2], SLOWING, BOARD.travel_mm[2], HZ)
 COUNTS = {2: "twice", 3: "three times", 4: "four times"}
-FOLDER = Path(__file__).resolve().parents[3] / "docs" / "decisions"
+FOLDER = Path(__file__).resolve().parents[4] / "docs" / "decisions"
 
 WIRE = [
     f"{watch.TUBE_MM:g} mm: two motor steps of 1/{BOARD.steps_per_mm[0]:g} mm",

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from unit.gantry_driver.test_guard_server import Rig, make, pressing, states
+from unit.gantry_driver.guard_rig import Rig, pressing, states
 
 from gantry_driver.adapters.guard import server as server_module
 from gantry_driver.adapters.guard.places import guard_path, stylus_path
@@ -16,8 +16,6 @@ from gantry_driver.adapters.guard.port_record import PortRecord, device_identity
 from gantry_driver.core.machine.machine_config import DriverConfig
 from gantry_driver.core.machine.machine_states import Note
 from icu_common.adapters.direct_stop.line import send_stop
-
-__all__ = ["make"]  # a fixture
 
 
 @pytest.fixture

@@ -5,8 +5,7 @@ from __future__ import annotations
 import dataclasses
 
 import pytest
-from unit.gantry_driver.controller_bench import BASE_FROM_PANEL, BUTTON, KNOB, Bench, RidingBench
-from unit.gantry_driver.test_controller_gestures import BUTTON_Z, details
+from unit.gantry_driver.controller_bench import BASE_FROM_PANEL, BUTTON, BUTTON_Z, KNOB, Bench, RidingBench, details
 
 from gantry_driver.core.goals import controller_messages as msg
 from gantry_driver.core.goals.goal_job import Phase
