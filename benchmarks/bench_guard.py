@@ -29,7 +29,7 @@ from nodes.guard_rig import DOWN_M, HOMED, BringUpRig, GuardRig
 from ros_rig import Ros, participant
 
 from gantry_driver.adapters.guard.client import GuardLink
-from gantry_driver.core.machine.machine_config import DriverConfig
+from gantry_driver.core.configuration.machine_config import DriverConfig
 from icu_common.adapters.direct_stop.line import guard_folder, send_stop, stop_path
 
 PAGE = Path(__file__).resolve().parents[1] / "docs/explanation/guard.md"

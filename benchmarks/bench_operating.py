@@ -24,7 +24,7 @@ from rows import OUT, Row, bound, row, write
 sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))
 from virtual_robot import VirtualRobot
 
-from gantry_driver.core.goals.goal_job import LOOKING, Phase
+from gantry_driver.core.job.goal_job import LOOKING, Phase
 from icu_common.core.goals.results import Outcome
 from icu_common.core.panel.panel_layout import Control, PanelLayout
 

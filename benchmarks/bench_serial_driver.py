@@ -36,9 +36,9 @@ from pygrbl_streamer import GrblStreamer
 from rows import Row, bound, row, write
 
 from gantry_driver.adapters.guard.places import guard_path
+from gantry_driver.core.configuration.machine_config import DriverConfig
 from gantry_driver.core.grbl.session import HOLD
 from gantry_driver.core.grbl.trajectory_gcode import Waypoint, write_motion
-from gantry_driver.core.machine.machine_config import DriverConfig
 from gantry_driver.core.wire.stages import make_script
 from icu_common.adapters.real_time import DRIVER, ask_for_real_time
 from icu_common.core.geometry.frames import JOINTS

@@ -25,9 +25,9 @@ from std_msgs.msg import Header, String
 from trajectory_msgs.msg import JointTrajectory
 from virtual_robot import VirtualRobot
 
-from gantry_driver.core.goals import controller_messages as msg
-from gantry_driver.core.goals.controller_config import ControllerConfig
-from gantry_driver.core.goals.goal_job import LOOKING
+from gantry_driver.core.job import controller_messages as msg
+from gantry_driver.core.job.controller_config import ControllerConfig
+from gantry_driver.core.job.goal_job import LOOKING
 from harris_perception.core.hand_eye.hand_eye import HandEyeConfig, Sample, calibrate
 from harris_perception.core.hand_eye_procedure.still_watch import StillConfig, StillWatch
 from harris_perception.core.stylus.stylus import StylusConfig, StylusTracker

@@ -17,7 +17,7 @@ from rclpy.serialization import serialize_message
 from std_srvs.srv import SetBool
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from gantry_driver.core.machine.stylus_state import STYLUS_DOWN_M
+from gantry_driver.core.states.stylus_state import STYLUS_DOWN_M
 from icu_common.adapters.direct_stop.line import send_stop, stop_path
 from icu_common.core.geometry.frames import JOINTS
 

@@ -9,10 +9,10 @@ from dataclasses import replace
 import numpy as np
 from pinhole import pinhole
 
-from gantry_driver.core.goals import controller_messages as msg
 from gantry_driver.core.goals.controller import Controller
-from gantry_driver.core.goals.controller_config import ControllerConfig
-from gantry_driver.core.goals.goal_job import Phase
+from gantry_driver.core.job import controller_messages as msg
+from gantry_driver.core.job.controller_config import ControllerConfig
+from gantry_driver.core.job.goal_job import Phase
 from gantry_driver.core.motion.scene import PanelControl, PanelMap
 from icu_common.core.geometry.geometry import Array, Transform
 from icu_common.core.goals.results import GoalResult, Outcome

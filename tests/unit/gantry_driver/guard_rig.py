@@ -10,9 +10,9 @@ from typing import Any
 
 from gantry_driver.adapters.guard import server as server_module
 from gantry_driver.adapters.guard.server import Guard
+from gantry_driver.core.configuration.machine_config import DriverConfig
 from gantry_driver.core.guard.messages import FrameReader, config_values, frame
-from gantry_driver.core.machine.machine_config import DriverConfig
-from gantry_driver.core.machine.machine_states import StateChanged
+from gantry_driver.core.states.machine_states import StateChanged
 from icu_common.adapters.unix_listener import listen_at
 
 

@@ -398,13 +398,12 @@ def test_documents_name_modules_that_are_there(path: Path) -> None:
         assert pkgutil.resolve_name(name), name
 
 
-CORE = ROOT / "src" / "harris_perception" / "harris_perception" / "core"
+CORES = [ROOT / "src" / name / name / "core" for name in ("harris_perception", "gantry_driver")]
+ROOMS = [room for core in CORES for room in (core, *sorted(path.parent for path in core.glob("*/__init__.py")))]
 
 
-@pytest.mark.parametrize(
-    "room", [CORE, *sorted(path.parent for path in CORE.glob("*/__init__.py"))], ids=lambda p: p.name
-)
-def test_each_room_of_perception_names_what_it_holds_in_its_map(room: Path) -> None:
+@pytest.mark.parametrize("room", ROOMS, ids=lambda p: "/".join(p.parts[-3:]))
+def test_each_room_names_what_it_holds_in_its_map(room: Path) -> None:
     named = re.findall(r"``(\w+)``", ast.get_docstring(ast.parse((room / "__init__.py").read_text())) or "")
     held = [path.stem for path in room.glob("*.py") if path.stem != "__init__"]
     held += [path.parent.name for path in room.glob("*/__init__.py")]

@@ -10,7 +10,7 @@ from unit.gantry_driver.protocol_board import Board, Rig
 
 from gantry_driver.core.board_faults.resets import RESETS_APART_S, ResetLog
 from gantry_driver.core.grbl.grbl_messages import Dialect, alarm_text, error_text
-from gantry_driver.core.machine.machine_states import Note, StateChanged
+from gantry_driver.core.states.machine_states import Note, StateChanged
 
 ERRORS = (*range(1, 18), *range(20, 39))
 """All of GRBL 1.1's; doc/csv/error_codes_en_US.csv of gnea/grbl."""

@@ -10,7 +10,7 @@ from unit.gantry_driver.protocol_board import Board, Rig
 
 from gantry_driver.cli import gantry_prepare
 from gantry_driver.cli.operator_session import TimedOut
-from gantry_driver.core.machine.machine_config import DriverConfig, MachineConfig
+from gantry_driver.core.configuration.machine_config import DriverConfig, MachineConfig
 from icu_common.core.processes.processor_load import ProcessorLoad, ProgramLoad
 
 

@@ -18,10 +18,10 @@ from unit.gantry_driver.controller_bench import (
     config,
 )
 
-from gantry_driver.core.goals import controller_messages as msg
 from gantry_driver.core.goals.controller import Controller
-from gantry_driver.core.goals.controller_config import ControllerConfig
-from gantry_driver.core.goals.goal_job import LOOKING, MOVING, Phase, Step
+from gantry_driver.core.job import controller_messages as msg
+from gantry_driver.core.job.controller_config import ControllerConfig
+from gantry_driver.core.job.goal_job import LOOKING, MOVING, Phase, Step
 from icu_common.core.configuration.config import ConfigError, from_mapping
 from icu_common.core.geometry.geometry import Transform
 from icu_common.core.goals.results import Felt, GoalResult, Outcome

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from unit.gantry_driver.controller_bench import BASE_FROM_PANEL, BUTTON_Z, MS, PANEL, Bench, config, details
 
-from gantry_driver.core.goals import controller_messages as msg
-from gantry_driver.core.goals.goal_job import Phase
+from gantry_driver.core.job import controller_messages as msg
+from gantry_driver.core.job.goal_job import Phase
 from icu_common.core.configuration.config import ConfigError
 from icu_common.core.goals.results import Outcome
 from icu_common.core.panel.panel_layout import Dimple

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from unit.gantry_driver.controller_bench import MS, Bench, config
 
-from gantry_driver.core.goals import controller_messages as msg
-from gantry_driver.core.goals.goal_job import Phase
-from gantry_driver.core.goals.patience import HoldUp, goal_limit_s, next_limit_s, patient_limit_s
+from gantry_driver.core.job import controller_messages as msg
+from gantry_driver.core.job.goal_job import Phase
+from gantry_driver.core.job.patience import HoldUp, goal_limit_s, next_limit_s, patient_limit_s
 from icu_common.core.goals.results import GoalResult, Outcome
 from icu_common.core.processes.delays import Delay, ResultCode, delay_of
 

@@ -10,8 +10,8 @@ from unit.gantry_driver.controller_bench import BASE_FROM_PANEL, CAMERA_FROM_BAS
 
 from gantry_driver.core.envelope.estimate import HELD_SIGMA_M, PlaneEstimate
 from gantry_driver.core.envelope.plane import PanelPlane
-from gantry_driver.core.goals import controller_messages as msg
-from gantry_driver.core.goals.goal_job import Phase
+from gantry_driver.core.job import controller_messages as msg
+from gantry_driver.core.job.goal_job import Phase
 from icu_common.core.geometry.geometry import Transform
 from icu_common.core.goals.intent import Intent
 from icu_common.core.goals.results import Outcome

@@ -7,8 +7,8 @@ import dataclasses
 import pytest
 from unit.gantry_driver.controller_bench import BASE_FROM_PANEL, BUTTON, BUTTON_Z, KNOB, Bench, RidingBench, details
 
-from gantry_driver.core.goals import controller_messages as msg
-from gantry_driver.core.goals.goal_job import Phase
+from gantry_driver.core.job import controller_messages as msg
+from gantry_driver.core.job.goal_job import Phase
 from icu_common.core.geometry.geometry import Transform
 from icu_common.core.goals.results import Outcome
 

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from unit.gantry_driver.controller_bench import BASE_FROM_PANEL, BUTTON, PANEL, Bench, RidingBench, config
 
-from gantry_driver.core.goals import controller_messages as msg
 from gantry_driver.core.goals.controller import Controller
-from gantry_driver.core.goals.goal_job import Phase
+from gantry_driver.core.job import controller_messages as msg
+from gantry_driver.core.job.goal_job import Phase
 from gantry_driver.core.motion.scene import PanelControl
 from icu_common.core.geometry.geometry import Array, Transform
 from icu_common.core.goals.results import Felt, Outcome

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from unit.gantry_driver.controller_bench import CAMERA, CAMERA_FROM_BASE, CAMERA_FROM_PANEL, KNOB, PANEL
 
-from gantry_driver.core.goals.controller_config import ControllerConfig
-from gantry_driver.core.goals.effects import Knob
 from gantry_driver.core.goals.goal_intake import find_touch
+from gantry_driver.core.job.controller_config import ControllerConfig
+from gantry_driver.core.job.effects import Knob
 from gantry_driver.core.motion.motion_plan import MotionConfig, OutOfReach
 from gantry_driver.core.motion.scene import Scene
 from icu_common.core.panel.gesture import parse_gesture

@@ -9,10 +9,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gantry_driver.core.grbl.gcode_check import Bounds, ProgramChecker
-from gantry_driver.core.grbl.session import Line
+from gantry_driver.core.configuration.machine_config import DriverConfig, StylusConfig
+from gantry_driver.core.grbl.lines import Line
 from gantry_driver.core.grbl.trajectory_gcode import Waypoint, lift_lines, write_motion
-from gantry_driver.core.machine.machine_config import DriverConfig, StylusConfig
+from gantry_driver.core.program.gcode_check import Bounds, ProgramChecker
 from gantry_driver.core.wire.stages import make_script
 from gantry_driver.mock.firmware.gcode import check_line
 from gantry_driver.mock.firmware.parser_state import ParserState

@@ -26,15 +26,8 @@ from gantry_driver.core.grbl.grbl_messages import (
     SettingValue,
     parse_line,
 )
-from gantry_driver.core.grbl.session import (
-    Acknowledged,
-    CountBroken,
-    GrblSession,
-    Line,
-    Refused,
-    StrayAnswer,
-    WasReset,
-)
+from gantry_driver.core.grbl.lines import Acknowledged, CountBroken, Line, Refused, StrayAnswer, WasReset
+from gantry_driver.core.grbl.session import GrblSession
 
 TRANSCRIPT = (
     b"\r\nGrbl 1.1h ['$' for help]\r\n[MSG:'$H'|'$X' to unlock]\r\n[VER:1.1h.20190825:]\r\n[OPT:V,15,128]\r\nok\r\n"

@@ -11,6 +11,7 @@ import pytest
 
 from gantry_driver.adapters.guard import clock as clock_module
 from gantry_driver.adapters.guard.clock import GuardClock, counts_of_environment
+from gantry_driver.core.configuration.machine_config import DriverConfig, MachineConfig, StylusConfig
 from gantry_driver.core.grbl.trajectory_gcode import Waypoint
 from gantry_driver.core.guard.commands import COMMANDS
 from gantry_driver.core.guard.messages import (
@@ -27,8 +28,7 @@ from gantry_driver.core.guard.messages import (
 )
 from gantry_driver.core.guard.silence import LATE_S, SilenceWatch, ThreadSample
 from gantry_driver.core.machine.machine import Machine
-from gantry_driver.core.machine.machine_config import DriverConfig, MachineConfig, StylusConfig
-from gantry_driver.core.machine.machine_states import Answered, CloseRequested, Event, Note, Position, StateChanged
+from gantry_driver.core.states.machine_states import Answered, CloseRequested, Event, Note, Position, StateChanged
 from icu_common.adapters.steps.step_layout import BYTES_READ, BYTES_WRITTEN, LEDGER_VARIABLE, StepCounts
 from icu_common.adapters.steps.step_ledger import StepLedger
 from icu_common.core.geometry.frames import JOINTS

@@ -17,10 +17,10 @@ from deadlines import wait_until
 from gantry_driver.adapters.guard import client as client_module
 from gantry_driver.adapters.guard.client import NO_ANSWER, GuardLink
 from gantry_driver.adapters.guard.places import guard_path
+from gantry_driver.core.configuration.machine_config import DriverConfig
 from gantry_driver.core.grbl.trajectory_gcode import Waypoint
 from gantry_driver.core.guard.messages import FrameReader, event_values, frame
-from gantry_driver.core.machine.machine_config import DriverConfig
-from gantry_driver.core.machine.machine_states import Answered, Event, Note, StateChanged
+from gantry_driver.core.states.machine_states import Answered, Event, Note, StateChanged
 from icu_common.adapters.unix_listener import listen_at
 from icu_common.core.geometry.frames import JOINTS
 from icu_common.core.goals.results import GoalResult, Outcome

@@ -13,8 +13,8 @@ from unit.gantry_driver.guard_rig import Rig, pressing, states
 from gantry_driver.adapters.guard import server as server_module
 from gantry_driver.adapters.guard.places import guard_path, stylus_path
 from gantry_driver.adapters.guard.port_record import PortRecord, device_identity, read_record, record_path
-from gantry_driver.core.machine.machine_config import DriverConfig
-from gantry_driver.core.machine.machine_states import Note
+from gantry_driver.core.configuration.machine_config import DriverConfig
+from gantry_driver.core.states.machine_states import Note
 from icu_common.adapters.direct_stop.line import send_stop
 
 

@@ -11,10 +11,10 @@ from unit.gantry_driver.guard_rig import Rig, pressing
 from gantry_driver.adapters.guard import server as server_module
 from gantry_driver.adapters.guard.places import stylus_path
 from gantry_driver.adapters.guard.server import ENDED, FLOOD_FRAMES, FLOODS, IN_USE, LINGER_S, UNSENT_BYTES
+from gantry_driver.core.configuration.machine_config import DriverConfig
 from gantry_driver.core.guard.messages import FrameReader, frame
 from gantry_driver.core.machine.machine import Machine
-from gantry_driver.core.machine.machine_config import DriverConfig
-from gantry_driver.core.machine.machine_states import Note, Position, StateChanged
+from gantry_driver.core.states.machine_states import Note, Position, StateChanged
 from icu_common.adapters.direct_stop.line import send_stop
 
 

@@ -12,8 +12,8 @@ from deadlines import wait_until
 
 from gantry_driver.adapters.serial_link import SerialLink
 from gantry_driver.adapters.serial_port import hang_up
+from gantry_driver.core.configuration.machine_config import DriverConfig
 from gantry_driver.core.machine.machine import Machine
-from gantry_driver.core.machine.machine_config import DriverConfig
 
 WITHIN_S = 10.0
 

@@ -22,7 +22,7 @@ from gantry_driver.adapters.guard.port_record import (
     record_path,
     write_record,
 )
-from gantry_driver.core.machine.machine_config import DriverConfig, StylusConfig
+from gantry_driver.core.configuration.machine_config import DriverConfig, StylusConfig
 
 
 class Place:

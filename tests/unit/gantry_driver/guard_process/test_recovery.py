@@ -18,10 +18,10 @@ from nodes.grbl_board import GrblBoard
 
 from gantry_driver.adapters.guard.places import guard_path, stylus_path
 from gantry_driver.adapters.guard.port_record import record_path
-from gantry_driver.core.envelope.config import EnvelopeConfig
+from gantry_driver.core.configuration.envelope_config import EnvelopeConfig
+from gantry_driver.core.configuration.machine_config import DriverConfig
 from gantry_driver.core.grbl.trajectory_gcode import Waypoint
 from gantry_driver.core.guard.messages import FrameReader, config_values, frame, waypoint_values
-from gantry_driver.core.machine.machine_config import DriverConfig
 from icu_common.adapters.direct_stop.line import send_stop
 from icu_common.core.geometry.frames import JOINTS
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 from unit.gantry_driver.protocol_board import HOMED, NO_PANEL, Board, Rig
 
+from gantry_driver.core.configuration.machine_config import DriverConfig, StylusConfig
 from gantry_driver.core.machine.machine import Machine
-from gantry_driver.core.machine.machine_config import DriverConfig, StylusConfig
 
 NOT_LIFTED = "the stylus was not lifted, it may still press"
 LIFTED = "stopped: the stylus was left down while no driver was connected"

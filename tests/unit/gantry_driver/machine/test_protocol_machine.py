@@ -13,12 +13,12 @@ import pytest
 from unit.gantry_driver import protocol_board
 from unit.gantry_driver.protocol_board import HOMED, SETTINGS, Board, Rig
 
-from gantry_driver.core.grbl.gcode_check import CheckedLine
+from gantry_driver.core.configuration.machine_config import DriverConfig, MachineConfig, StylusConfig
 from gantry_driver.core.grbl.trajectory_gcode import Waypoint
 from gantry_driver.core.machine.machine import Machine
-from gantry_driver.core.machine.machine_config import DriverConfig, MachineConfig, StylusConfig
-from gantry_driver.core.machine.machine_states import Note
-from gantry_driver.core.wire.proof import QUEUED_LINES
+from gantry_driver.core.machine.proof import QUEUED_LINES
+from gantry_driver.core.program.gcode_check import CheckedLine
+from gantry_driver.core.states.machine_states import Note
 from icu_common.core.configuration.config import ConfigError, settings_of
 from icu_common.core.geometry.frames import JOINTS
 

@@ -9,9 +9,9 @@ import pytest
 from unit.gantry_driver import protocol_board
 from unit.gantry_driver.protocol_board import HOMED, NO_PANEL, Rig
 
+from gantry_driver.core.configuration.machine_config import STYLUS_KINDS, DriverConfig, StylusConfig
 from gantry_driver.core.machine.machine import Machine
-from gantry_driver.core.machine.machine_config import STYLUS_KINDS, DriverConfig, StylusConfig
-from gantry_driver.core.machine.stylus_state import STYLUS_DOWN_M, Stylus, tells_of_stylus
+from gantry_driver.core.states.stylus_state import STYLUS_DOWN_M, Stylus, tells_of_stylus
 
 NOT_LIFTED = "the stylus was not lifted, it may still press"
 RELEASED = "the solenoid is without power, the stylus is up"

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from unit.gantry_driver.controller_bench import Bench, control
 
-from gantry_driver.core.goals import controller_messages as msg
+from gantry_driver.core.job import controller_messages as msg
 from gantry_driver.core.motion.scene import PanelMap
+from gantry_driver.core.motion.touch_error import TouchError
 from gantry_driver.core.sight.layout_sight import seen_panel
-from gantry_driver.core.sight.touch_error import TouchError
 from icu_common.core.alignment.findings import FindingCode
 from icu_common.core.alignment.layout import ControlDeviation, DeviationCode
 from icu_common.core.alignment.pair import PairCode, PairState

@@ -12,12 +12,12 @@ from pathlib import Path
 import pytest
 
 from gantry_driver.adapters.stylus_record import StylusRecord
+from gantry_driver.core.configuration.clearance import TUBE_MM, stopping_way_mm
+from gantry_driver.core.configuration.machine_config import DriverConfig, MachineConfig, StylusConfig
+from gantry_driver.core.grbl.modes import Modes
 from gantry_driver.core.grbl.trajectory_gcode import Waypoint, write_motion
-from gantry_driver.core.machine.machine_config import DriverConfig, MachineConfig, StylusConfig
-from gantry_driver.core.wire.clearance import stopping_way_mm
-from gantry_driver.core.wire.modes import Modes
 from gantry_driver.core.wire.stages import Script, make_script
-from gantry_driver.core.wire.watch import REPORT_LATE_S, SEGMENTS_S, TUBE_MM, PathWatch, Segment
+from gantry_driver.core.wire.watch import REPORT_LATE_S, SEGMENTS_S, PathWatch, Segment
 from gantry_driver.mock.firmware.gcode import check_line
 from gantry_driver.mock.firmware.parser_state import ParserState
 from gantry_driver.mock.firmware.words import GcodeError

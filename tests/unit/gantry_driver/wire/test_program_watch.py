@@ -9,10 +9,11 @@ import pytest
 from campaign.faults import HOMED
 from unit.gantry_driver.damaged_wire import DamagedRig
 
-from gantry_driver.core.grbl.gcode_check import Bounds, ProgramChecker
+from gantry_driver.core.configuration.clearance import TUBE_MM
 from gantry_driver.core.program.arcs import CHORD_MM, Arc
-from gantry_driver.core.wire.polyline import Polyline
-from gantry_driver.core.wire.watch import TUBE_MM, PathWatch
+from gantry_driver.core.program.gcode_check import Bounds, ProgramChecker
+from gantry_driver.core.program.polyline import Polyline
+from gantry_driver.core.wire.watch import PathWatch
 from icu_common.core.goals.results import GoalResult, Outcome
 
 PROGRAM = ["G53 G0 X-259 Y-169", "G53 G1 Z-5 F600", "G53 G1 X-219 F1200", "G53 G1 Z-11 F600", "G53 G1 Z-1 F1200"]

@@ -14,15 +14,17 @@ from campaign.damage_rig import ANSWER_EXTRA_S, ANSWER_FACTOR
 from campaign.other_damage import LATE_S
 from campaign.virtual_link import VirtualRig
 
+from gantry_driver.core.configuration import clearance
+from gantry_driver.core.configuration.machine_config import DriverConfig
 from gantry_driver.core.contact.config import ContactConfig
+from gantry_driver.core.grbl import lines
 from gantry_driver.core.grbl.trajectory_gcode import Waypoint, write_motion
-from gantry_driver.core.machine import machine
-from gantry_driver.core.machine.machine_config import DriverConfig
+from gantry_driver.core.machine import machine, proof
 from gantry_driver.core.motion import motion_plan
 from gantry_driver.core.motion.motion_plan import Path as Plan
 from gantry_driver.core.motion.targets import TouchConfig
 from gantry_driver.core.program.arcs import CHORD_MM
-from gantry_driver.core.wire import clearance, lines, proof, stages, watch
+from gantry_driver.core.wire import stages, watch
 from icu_common.core.geometry.frames import JOINTS
 
 CONFIG = DriverConfig(enabled_at_start=True)

@@ -11,6 +11,8 @@ import dataclasses
 from collections import deque
 from collections.abc import Iterator
 
+from gantry_driver.core.grbl.buffers import BoardBuffers
+from gantry_driver.core.grbl.contradictions import OUT_OF_TURN, Contradictions
 from gantry_driver.core.grbl.grbl_messages import (
     Alarm,
     Banner,
@@ -24,9 +26,7 @@ from gantry_driver.core.grbl.grbl_messages import (
     Report,
     parse_line,
 )
-from gantry_driver.core.wire.buffers import BoardBuffers
-from gantry_driver.core.wire.contradictions import OUT_OF_TURN, Contradictions
-from gantry_driver.core.wire.lines import (
+from gantry_driver.core.grbl.lines import (
     MAX_LINE_BYTES,
     Acknowledged,
     CountBroken,
@@ -35,22 +35,8 @@ from gantry_driver.core.wire.lines import (
     Refused,
     StrayAnswer,
     WasReset,
-    plain,
 )
-from gantry_driver.core.wire.modes import ASK_MODES
-
-__all__ = [
-    "MAX_LINE_BYTES",
-    "Acknowledged",
-    "CountBroken",
-    "Counts",
-    "GrblSession",
-    "Line",
-    "Refused",
-    "StrayAnswer",
-    "WasReset",
-    "plain",
-]
+from gantry_driver.core.grbl.modes import ASK_MODES
 
 HOLD = b"!"
 RESUME = b"~"

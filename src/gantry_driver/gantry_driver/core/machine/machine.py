@@ -12,7 +12,6 @@ from __future__ import annotations
 import math
 
 from gantry_driver.core.board_faults.reports import UNPLACED_REPORTS, no_position_text, with_quote
-from gantry_driver.core.grbl.connection import ASK_ALONE_S, REFUSED
 from gantry_driver.core.grbl.grbl_messages import (
     Alarm,
     Dialect,
@@ -25,15 +24,17 @@ from gantry_driver.core.grbl.grbl_messages import (
     alarm_text,
     error_text,
 )
-from gantry_driver.core.grbl.session import HOLD, Acknowledged, CountBroken, Refused, WasReset
+from gantry_driver.core.grbl.lines import Acknowledged, CountBroken, Refused, WasReset
+from gantry_driver.core.grbl.session import HOLD
 from gantry_driver.core.grbl.trajectory_gcode import lift_lines, reading_m, stylus_dwell
-from gantry_driver.core.machine.machine_states import Note, Phase, Position
+from gantry_driver.core.machine.board_settings import READ_STARTUP
+from gantry_driver.core.machine.connection import ASK_ALONE_S, REFUSED
+from gantry_driver.core.machine.proof import OWN_RESET, RESTS
 from gantry_driver.core.machine.stopping import elsewhere
 from gantry_driver.core.machine.streaming import Streaming
-from gantry_driver.core.machine.stylus_state import Stylus
-from gantry_driver.core.wire.board_settings import READ_STARTUP
+from gantry_driver.core.states.machine_states import Note, Phase, Position
+from gantry_driver.core.states.stylus_state import Stylus
 from gantry_driver.core.wire.faults import MotionFault
-from gantry_driver.core.wire.proof import OWN_RESET, RESTS
 from icu_common.core.goals.results import Outcome
 
 BANNER_TIMEOUT_S = 5.0

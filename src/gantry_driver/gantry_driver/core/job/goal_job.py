@@ -11,10 +11,10 @@ import numpy as np
 from gantry_driver.core.contact.heights import Finding
 from gantry_driver.core.contact.lag import Height, Lag
 from gantry_driver.core.contact.press import Evidence
-from gantry_driver.core.goals.effects import Effect, Knob
+from gantry_driver.core.job.effects import Effect, Knob
 from gantry_driver.core.motion.scene import Scene
 from gantry_driver.core.motion.targets import Touch
-from gantry_driver.core.sight.touch_error import TouchError
+from gantry_driver.core.motion.touch_error import TouchError
 from icu_common.core.alignment.findings import Cause
 from icu_common.core.alignment.pair import PairState
 from icu_common.core.geometry.geometry import Array

@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gantry_driver.core.goals.controller_config import ControllerConfig
-from gantry_driver.core.goals.goal_job import Aim, Fault
+from gantry_driver.core.job.controller_config import ControllerConfig
+from gantry_driver.core.job.goal_job import Aim, Fault
 from gantry_driver.core.motion import motion_plan, targets
 from gantry_driver.core.motion.scene import Scene
 from gantry_driver.core.motion.targets import Touch

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from gantry_driver.core.grbl.grbl_messages import Banner, Message
-from gantry_driver.core.wire.modes import ASK_MODES
+from gantry_driver.core.grbl.modes import ASK_MODES
 
 MAX_LINE_BYTES = 80
 """Maximum length of a line in bytes, newline included; GRBL answers error:11 to longer ones."""

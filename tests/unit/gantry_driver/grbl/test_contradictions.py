@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+from gantry_driver.core.grbl.buffers import BoardBuffers
+from gantry_driver.core.grbl.contradictions import LOST_LINE, Contradictions
 from gantry_driver.core.grbl.grbl_messages import Report
-from gantry_driver.core.wire.buffers import BoardBuffers
-from gantry_driver.core.wire.contradictions import LOST_LINE, Contradictions
-from gantry_driver.core.wire.lines import Line
+from gantry_driver.core.grbl.lines import Line
 
 IN_FLIGHT = [(Line.of(1, "G1X-5F1000", 60.0), 0.0)]
 IDLE = Report(state="Idle")

@@ -8,10 +8,11 @@ from operator import attrgetter
 from gantry_driver.core.board_faults.kept_place import KeptPlace
 from gantry_driver.core.board_faults.reports import with_quote
 from gantry_driver.core.board_faults.resets import ResetLog
+from gantry_driver.core.configuration.machine_config import DriverConfig
 from gantry_driver.core.grbl.grbl_messages import Dialect, Firmware, Report
-from gantry_driver.core.grbl.session import HOLD, Counts, GrblSession
-from gantry_driver.core.machine.machine_config import DriverConfig
-from gantry_driver.core.machine.machine_states import (
+from gantry_driver.core.grbl.lines import Counts
+from gantry_driver.core.grbl.session import HOLD, GrblSession
+from gantry_driver.core.states.machine_states import (
     OPEN_ENDS,
     TRANSITIONS,
     Answered,
@@ -20,7 +21,7 @@ from gantry_driver.core.machine.machine_states import (
     Phase,
     StateChanged,
 )
-from gantry_driver.core.machine.stylus_state import CLAUSE, IS_RELEASED, MAY_PRESS, MAY_SINK, Stylus
+from gantry_driver.core.states.stylus_state import CLAUSE, IS_RELEASED, MAY_PRESS, MAY_SINK, Stylus
 from gantry_driver.core.wire.goal import Goal, Reading
 from icu_common.core.goals.results import GoalResult, Outcome
 

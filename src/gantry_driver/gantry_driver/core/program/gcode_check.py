@@ -16,9 +16,9 @@ import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
-from gantry_driver.core.grbl.session import MAX_LINE_BYTES, plain
+from gantry_driver.core.grbl.lines import MAX_LINE_BYTES, plain
 from gantry_driver.core.program.arcs import Arc
-from gantry_driver.core.wire.polyline import Polyline
+from gantry_driver.core.program.polyline import Polyline
 
 Vector = tuple[float, float, float]
 

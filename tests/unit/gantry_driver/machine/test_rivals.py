@@ -6,9 +6,9 @@ import pytest
 from unit.gantry_driver.controller_bench import BASE_FROM_PANEL, CAMERA_FROM_PANEL, Bench
 from unit.gantry_driver.protocol_board import HOMED, Rig
 
-from gantry_driver.core.goals import controller_messages as msg
-from gantry_driver.core.goals.goal_job import Phase
 from gantry_driver.core.grbl.trajectory_gcode import Waypoint
+from gantry_driver.core.job import controller_messages as msg
+from gantry_driver.core.job.goal_job import Phase
 from icu_common.core.geometry.frames import JOINTS
 from icu_common.core.goals.results import Outcome
 

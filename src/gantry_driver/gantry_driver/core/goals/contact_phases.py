@@ -10,12 +10,12 @@ import numpy as np
 from gantry_driver.core.contact.lag import Lag, height_of, lag_between
 from gantry_driver.core.contact.press import ENVELOPE_SPARE_M, ContactCode, next_extension_m, verdict
 from gantry_driver.core.envelope.rules import SIGMAS
-from gantry_driver.core.goals.effects import EffectKind
-from gantry_driver.core.goals.goal_job import Fault, Job, Phase
 from gantry_driver.core.goals.goal_run import GoalRun, nanoseconds
+from gantry_driver.core.goals.servo import contact_complaint
+from gantry_driver.core.goals.touch_checks import note_error, touch_finding
+from gantry_driver.core.job.effects import EffectKind
+from gantry_driver.core.job.goal_job import Fault, Job, Phase
 from gantry_driver.core.motion import motion_plan
-from gantry_driver.core.motion.servo import contact_complaint
-from gantry_driver.core.sight.touch_checks import note_error, touch_finding
 from icu_common.core.geometry.geometry import Array
 from icu_common.core.goals.results import Felt, Outcome
 

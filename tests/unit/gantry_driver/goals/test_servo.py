@@ -7,9 +7,9 @@ import math
 import numpy as np
 import pytest
 
-from gantry_driver.core.goals.controller_config import ControllerConfig
-from gantry_driver.core.goals.goal_job import Aim, Fault
-from gantry_driver.core.motion.servo import Look, contact_complaint, judge
+from gantry_driver.core.goals.servo import Look, contact_complaint, judge
+from gantry_driver.core.job.controller_config import ControllerConfig
+from gantry_driver.core.job.goal_job import Aim, Fault
 from icu_common.core.geometry.geometry import Array, Transform
 
 CONFIG = ControllerConfig()

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
-from gantry_driver.core.goals.controller_config import ControllerConfig
-from gantry_driver.core.goals.goal_job import Obstacle
-from gantry_driver.core.goals.patience import patient_limit_s, since
+from gantry_driver.core.job.controller_config import ControllerConfig
+from gantry_driver.core.job.goal_job import Obstacle
+from gantry_driver.core.job.patience import patient_limit_s, since
 
 if TYPE_CHECKING:
     from gantry_driver.core.goals.world import World

@@ -6,7 +6,7 @@ import dataclasses
 
 import pytest
 
-from gantry_driver.core.envelope.config import EnvelopeConfig
+from gantry_driver.core.configuration.envelope_config import EnvelopeConfig
 from icu_common.core.configuration.config import ConfigError, settings_of
 
 LIMITS = {

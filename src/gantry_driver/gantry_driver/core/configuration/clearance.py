@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 
-from gantry_driver.core.wire.watch import TUBE_MM
-
+TUBE_MM = 0.15
+"""Radius of the tube around the path in which reports must lie: at most two motor steps of each axis at 80 steps/mm,
+and a report that is read in mid-step."""
 REPORT_WAY_S = 0.02
 """Duration from a position to the ``!`` at the board: report (70 bytes at 115200 baud: 6 ms), adapter, driver."""
 LOOK_AHEAD_S = 0.05

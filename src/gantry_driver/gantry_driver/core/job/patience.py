@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import math
 
-from gantry_driver.core.goals.controller_config import ControllerConfig
-from gantry_driver.core.goals.goal_job import NANO
+from gantry_driver.core.job.controller_config import ControllerConfig
+from gantry_driver.core.job.goal_job import NANO
 from icu_common.core.processes.delays import Delay, ResultCode
 
 CLICK_MAX_AGE_S = 2.0

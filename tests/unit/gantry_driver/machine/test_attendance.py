@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from gantry_driver.core.attendance.watch import Attendance, silent_text
+from gantry_driver.core.machine.attendance import Attendance, silent_text
 
 
 def test_silence_begins_with_the_last_sign() -> None:

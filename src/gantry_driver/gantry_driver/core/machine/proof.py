@@ -5,16 +5,17 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from gantry_driver.core.configuration.machine_config import DriverConfig
 from gantry_driver.core.grbl.grbl_messages import Report
-from gantry_driver.core.grbl.session import FULL_FEED, FULL_SPINDLE, HOLD, RESUME, Line
+from gantry_driver.core.grbl.lines import Line
+from gantry_driver.core.grbl.modes import ASK_MODES
+from gantry_driver.core.grbl.session import FULL_FEED, FULL_SPINDLE, HOLD, RESUME
 from gantry_driver.core.grbl.trajectory_gcode import may_be_down_after, reading_m
-from gantry_driver.core.machine.machine_config import DriverConfig
-from gantry_driver.core.machine.machine_states import Note, Phase
 from gantry_driver.core.machine.stopping import SAME_PLACE_MM, Stopping, elsewhere
-from gantry_driver.core.machine.stylus_state import Stylus
+from gantry_driver.core.states.machine_states import Note, Phase
+from gantry_driver.core.states.stylus_state import Stylus
 from gantry_driver.core.wire.faults import MotionFault
 from gantry_driver.core.wire.goal import Goal, Reading
-from gantry_driver.core.wire.modes import ASK_MODES
 from gantry_driver.core.wire.stages import CLEAR_FRAME, FEED_WORD, Confirm
 from gantry_driver.core.wire.watch import REPORT_LATE_S, PathWatch
 from icu_common.core.goals.results import Outcome

@@ -9,8 +9,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from gantry_driver.core.envelope.config import EnvelopeConfig
-from gantry_driver.core.wire.clearance import stopping_way_mm
+from gantry_driver.core.configuration.clearance import stopping_way_mm
+from gantry_driver.core.configuration.envelope_config import EnvelopeConfig
 from icu_common.core.admission.heartbeats import PROGRAMS as HEARTBEAT_PROGRAMS
 from icu_common.core.configuration.config import WALL_TIME, Config, ConfigError, nested, setting
 

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from gantry_driver.core.goals.controller_config import ControllerConfig
+from gantry_driver.core.job.controller_config import ControllerConfig
+from gantry_driver.core.motion.touch_error import TouchError, covariance_at, layout_sigma_m, uncertain
 from gantry_driver.core.sight.pair_sight import turned_since
-from gantry_driver.core.sight.touch_error import TouchError, covariance_at, layout_sigma_m, uncertain
 from icu_common.core.alignment.findings import Finding
 from icu_common.core.geometry.geometry import Array
 
 if TYPE_CHECKING:
-    from gantry_driver.core.goals.goal_job import Job
     from gantry_driver.core.goals.world import World
+    from gantry_driver.core.job.goal_job import Job
 
 
 def note_error(job: Job, off: Array, world: World, config: ControllerConfig) -> None:

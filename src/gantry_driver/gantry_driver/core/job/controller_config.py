@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from gantry_driver.core.contact.config import ContactConfig
 from gantry_driver.core.motion.motion_plan import MotionConfig
 from gantry_driver.core.motion.targets import TouchConfig
-from gantry_driver.core.sight.touch_error import TouchErrorConfig
+from gantry_driver.core.motion.touch_error import TouchErrorConfig
 from icu_common.core.admission.heartbeats import PROGRAMS as HEARTBEAT_PROGRAMS
 from icu_common.core.configuration.config import WALL_TIME, Config, ConfigError, nested, setting
 

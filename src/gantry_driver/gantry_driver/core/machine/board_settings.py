@@ -6,10 +6,10 @@ from abc import abstractmethod
 from collections.abc import Mapping
 
 from gantry_driver.core.board_faults.reports import position_mask
-from gantry_driver.core.grbl.connection import Connection
 from gantry_driver.core.grbl.grbl_messages import Dialect
 from gantry_driver.core.grbl.settings_profile import differences, lines_to_write
-from gantry_driver.core.machine.machine_states import Note, Phase
+from gantry_driver.core.machine.connection import Connection
+from gantry_driver.core.states.machine_states import Note, Phase
 
 READING_SETTINGS = (3, 23, 27, 100, 101, 102, 130, 131, 132)
 """Directions, homing corner, pull-off, steps and travel: a change makes a calibration of the readings invalid."""

@@ -21,8 +21,8 @@ CLAUSE = "; "
 class Stylus(Enum):
     """State of the stylus; each transition returns the next state.
 
-    ``kind`` is that of :class:`~gantry_driver.core.machine.machine_config.StylusConfig`. ``extension_m`` is the last
-    reading of the stylus in metres, None while the position is unknown.
+    ``kind`` is that of :class:`~gantry_driver.core.configuration.machine_config.StylusConfig`. ``extension_m`` is the
+    last reading of the stylus in metres, None while the position is unknown.
     """
 
     AS_READ = auto()

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from gantry_driver.core.grbl.buffers import BoardBuffers
 from gantry_driver.core.grbl.grbl_messages import Report
-from gantry_driver.core.wire.buffers import BoardBuffers
-from gantry_driver.core.wire.lines import SYNCHRONISE, Line, answers_missing
+from gantry_driver.core.grbl.lines import SYNCHRONISE, Line, answers_missing
 
 MISSING_REPORTS = SURPLUS_REPORTS = 2
 """Number of successive reports that must show a missing, or a surplus, answer: one report may be damaged."""
