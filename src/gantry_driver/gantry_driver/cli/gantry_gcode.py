@@ -35,7 +35,8 @@ from gantry_driver.core.grbl.settings_profile import ProfileError, differences, 
 from gantry_driver.core.grbl.trajectory_gcode import TrajectoryError
 from gantry_driver.core.machine.machine import Machine
 from gantry_driver.core.machine.streaming import PROGRAM_MODES
-from gantry_driver.core.program.gcode_check import CheckedLine, GcodeError, ProgramChecker
+from gantry_driver.core.program.gcode_check import CheckedLine, ProgramChecker
+from gantry_driver.core.program.gcode_words import GcodeError
 from gantry_driver.core.states.machine_states import Answered, Event, Note, StateChanged
 from icu_common.adapters.processes.program_end import end_signals, ends_quietly, help_text
 from icu_common.adapters.terminal_keys import terminal_keys

@@ -9,7 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gantry_driver.core.program.gcode_check import Bounds, GcodeError, ProgramChecker
+from gantry_driver.core.program.gcode_check import Bounds, ProgramChecker
+from gantry_driver.core.program.gcode_words import GcodeError
 
 BOUNDS = Bounds(low_mm=(-360.0, -220.0, -60.0), high_mm=(0.0, 0.0, 0.0), rapid_mm_min=(12000.0, 12000.0, 3000.0))
 START = (-100.0, -100.0, -1.0)

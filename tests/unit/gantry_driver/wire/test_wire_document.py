@@ -19,7 +19,7 @@ from gantry_driver.core.configuration.machine_config import DriverConfig
 from gantry_driver.core.contact.config import ContactConfig
 from gantry_driver.core.grbl import lines
 from gantry_driver.core.grbl.trajectory_gcode import Waypoint, write_motion
-from gantry_driver.core.machine import machine, proof
+from gantry_driver.core.machine import homing, machine, proof
 from gantry_driver.core.motion import motion_plan
 from gantry_driver.core.motion.motion_plan import Path as Plan
 from gantry_driver.core.motion.targets import TouchConfig
@@ -54,8 +54,8 @@ WIRE = [
     f"`hover_m` of {1000.0 * TouchConfig().hover_m:g} mm and the {1000.0 * ContactConfig().key_travel_m:g} mm",
     f"Of the lines sent {lines.ARRIVED_S:g} s ago or earlier",
     f"gets a `$G` after every {proof.ASK_EVERY} lines",
-    f"`$H` was answered after {machine.HOMING_LEAST_S:g} s or later",
-    f"homing waits up to {machine.OFFSET_WITHIN_S:g} s for them",
+    f"`$H` was answered after {homing.HOMING_LEAST_S:g} s or later",
+    f"homing waits up to {homing.OFFSET_WITHIN_S:g} s for them",
     f"within {machine.BUILD_WITHIN_S:g} s; otherwise the board may be homing",
 ]
 CAMPAIGN = [

@@ -42,9 +42,6 @@ class Stopping(BoardSettings):
         """Position of the board in the last report before a stop's reset; None if the report had none."""
         self._stood_at = 0.0
         self._moved_at = 0.0
-        self._homed_mm: tuple[float, ...] | None = None
-        """Position of the board in the last report after a homing cycle."""
-        self._homed_at = 0.0
         self._lift_from_mm: tuple[float, ...] | None = None
         """Position at which the retreat of a Z axis began."""
         self._lifts_left = LIFTS

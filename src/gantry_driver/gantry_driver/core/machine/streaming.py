@@ -25,7 +25,8 @@ from gantry_driver.core.grbl.trajectory_gcode import (
 from gantry_driver.core.machine.connection import HOLD_REPEAT_S
 from gantry_driver.core.machine.proof import Proving, three
 from gantry_driver.core.machine.stopping import LOCKED
-from gantry_driver.core.program.gcode_check import Bounds, CheckedLine, GcodeError, ProgramChecker
+from gantry_driver.core.program.gcode_check import Bounds, CheckedLine, ProgramChecker
+from gantry_driver.core.program.gcode_words import GcodeError
 from gantry_driver.core.program.marks import LineMarks
 from gantry_driver.core.states.machine_states import Note, Phase
 from gantry_driver.core.wire.goal import Goal

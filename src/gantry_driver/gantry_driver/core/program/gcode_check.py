@@ -1,8 +1,7 @@
-"""Check of G-code programs, line by line, before the first byte is sent: syntax, modal groups, length, arcs, travel.
+"""Check of G-code programs, line by line, before the first byte is sent: modes, length, arcs, travel.
 
 The rules are those of GRBL 1.1's parser (messages name its error numbers), and one rule of this machine: every target,
-relative or with a work offset, must lie inside the travel, and so must a whole arc. The checker rejects words whose
-target it cannot know (G28, G30, probing, offsets written to the board).
+relative or with a work offset, must lie inside the travel, and so must a whole arc.
 
 The driver sends an equivalent program (docs/decisions/lines-after-a-reset.md). Each move names its motion at the end of
 the line, and a feed only where the feed changes. A rapid move becomes a G1 at the highest feed, and an inverse time
@@ -12,68 +11,22 @@ becomes the equivalent feed.
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from gantry_driver.core.grbl.lines import MAX_LINE_BYTES, plain
 from gantry_driver.core.program.arcs import Arc
+from gantry_driver.core.program.gcode_words import GROUP_OF, GcodeError, ParsedLine, Word, parse_words
 from gantry_driver.core.program.polyline import Polyline
 
 Vector = tuple[float, float, float]
 
-_GROUPS: dict[str, tuple[str, ...]] = {
-    "motion": ("G0", "G1", "G2", "G3", "G80"),
-    "plane": ("G17", "G18", "G19"),
-    "distance": ("G90", "G91"),
-    "arc distance": ("G91.1",),
-    "feed mode": ("G93", "G94"),
-    "units": ("G20", "G21"),
-    "cutter compensation": ("G40",),
-    "tool length": ("G49",),
-    "coordinate system": ("G54", "G55", "G56", "G57", "G58", "G59"),
-    "control": ("G61",),
-    "non-modal": ("G4", "G53", "G92", "G92.1"),
-    "program": ("M2", "M30"),
-    "spindle": ("M3", "M4", "M5"),
-    "coolant": ("M7", "M8", "M9"),
-}
-_GROUP_OF = {word: group for group, words in _GROUPS.items() for word in words}
-_AXIS_USERS = frozenset({"G0", "G1", "G2", "G3", "G49", "G92"})
-"""Commands that use axis words; GRBL accepts one of them in a line, even without an axis word."""
 _NO_AXES = frozenset({"G4", "G49", "G92.1", "M2", "M30"})
 """Commands without axis words: with most of them GRBL executes axis words as a separate move; with G49 it ignores
 them."""
-_REFUSED = {
-    "G28": "goes to a stored place that is not known here",
-    "G30": "goes to a stored place that is not known here",
-    "G28.1": "writes to the board's memory",
-    "G30.1": "writes to the board's memory",
-    "G10": "writes to the board's memory",
-    "G43.1": "moves all targets by a tool length that is not known here",
-    "G38.2": "ends where the probe touches",
-    "G38.3": "ends where the probe touches",
-    "G38.4": "ends where the probe releases",
-    "G38.5": "ends where the probe releases",
-    "M0": "waits for a person at the board",
-    "M1": "waits for a person at the board",
-}
-_VALUES = "FIJKLNPRSTXYZ"
-_WORD = re.compile(r"([A-Z])([+-]?(?:\d+\.?\d*|\.\d+))?")
-_LARGEST = {"N": (9_999_999.0, 27), "T": (255.0, 38)}
-"""Maximum value of a word, and GRBL's error for a larger one."""
 _PLANES = {"G17": (0, 1, 2), "G18": (2, 0, 1), "G19": (1, 2, 0)}
-_REALTIME = frozenset("?!~\x18")
 _ROUNDING_MM = 1e-6
 """Rounding that sums and the sixth decimal of a line may add to a target; a board allows nothing beyond its travel."""
-
-
-class GcodeError(ValueError):
-    """A program's line that cannot be sent: ``line`` and ``column`` count from 1."""
-
-    def __init__(self, line: int, column: int, reason: str) -> None:
-        super().__init__(f"line {line}, column {column}: {reason}")
-        self.line, self.column, self.reason = line, column, reason
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -94,17 +47,6 @@ class Bounds:
     low_mm: Vector
     high_mm: Vector
     rapid_mm_min: Vector
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Word:
-    letter: str
-    value: float
-    column: int
-
-    @property
-    def name(self) -> str:
-        return f"{self.letter}{self.value:g}"
 
 
 @dataclass(slots=True)
@@ -181,25 +123,24 @@ class ProgramChecker:
     def check(self, raw: str) -> CheckedLine | None:
         """Check the next line; return None if no part of it must be sent."""
         self._number += 1
-        words = self._words(raw)
-        if not words:
+        line = parse_words(self._number, raw)
+        if line is None:
             return None
-        commands = self._commands(words)
-        values = self._values(words)
-        seconds, feed = self._follow(commands, values, words)
+        seconds, feed = self._follow(line)
         self.seconds += seconds
-        self._all_used(commands, values)
-        text = self._written(words, feed)
+        self._all_used(line)
+        text = self._written(line.words, feed)
         if len(text) + 1 > MAX_LINE_BYTES:
-            raise self._error(MAX_LINE_BYTES, f"{len(text) + 1} bytes with the newline, {MAX_LINE_BYTES} can be sent")
+            reason = f"{len(text) + 1} bytes with the newline, {MAX_LINE_BYTES} can be sent"
+            raise GcodeError(self._number, MAX_LINE_BYTES, reason)
         if not text:
             return None
         return CheckedLine(number=self._number, text=text, seconds=seconds, along_mm=self.path.length_mm)
 
-    def _written(self, words: list[_Word], feed: float) -> str:
+    def _written(self, words: Sequence[Word], feed: float) -> str:
         """Return the line for the board; ``feed`` is in mm/min, 0 if nothing moves."""
         modes = self._modes
-        kept = [w for w in words if w.letter != "F" and _GROUP_OF.get(w.name) not in ("motion", "feed mode")]
+        kept = [w for w in words if w.letter != "F" and GROUP_OF.get(w.name) not in ("motion", "feed mode")]
         if not any(w.letter in "XYZ" for w in kept):
             return "".join(f"{w.letter}{plain(w.value, 6)}" for w in kept if w.name != "G53")
         # Values before commands: after a reset cuts a line, its rest is not a move.
@@ -210,105 +151,16 @@ class ProgramChecker:
         modes.sent_feed = feed
         return f"{speed}{text}{'G1' if modes.motion == 'G0' else modes.motion}"
 
-    def _error(self, column: int, reason: str) -> GcodeError:
-        return GcodeError(self._number, column, reason)
-
-    # --- syntax --------------------------------------------------------------------------------------------------
-
-    def _words(self, raw: str) -> list[_Word]:
-        clean = self._without_comments(raw.rstrip("\r\n"))
-        letters = [(char.upper(), column) for column, char in enumerate(clean, 1) if not char.isspace()]
-        packed = "".join(char for char, _ in letters)
-        if not packed or packed == "%":
-            return []
-        if packed[0] == "$":
-            raise self._error(letters[0][1], "settings and system commands are not part of a program")
-        words, place = [], 0
-        while place < len(packed):
-            column = letters[place][1]
-            match = _WORD.match(packed, place)
-            if match is None:
-                raise self._error(column, f"{packed[place]!r}: a letter is expected (error:1)")
-            if match[2] is None:
-                raise self._error(column, f"{match[1]} has no number (error:2)")
-            value = float(match[2])
-            if math.isinf(value):
-                raise self._error(column, f"{match[1]} has a number that no board can read (error:2)")
-            words.append(_Word(letter=match[1], value=value, column=column))
-            place = match.end()
-        return words
-
-    def _without_comments(self, raw: str) -> str:
-        """Replace comments, block delete and real-time bytes by blanks, so that the columns stay the same."""
-        out, depth, opened = [], 0, 0
-        for column, char in enumerate(raw, 1):
-            if depth:
-                depth = 0 if char == ")" else 1
-                out.append(" ")
-            elif char == "(":
-                depth, opened = 1, column
-                out.append(" ")
-            elif char == ";":
-                return "".join(out)
-            elif char in _REALTIME or char == "/" or 0x80 <= ord(char) <= 0xA0:
-                out.append(" ")
-            elif ord(char) > 0xA0 and not char.isspace():
-                # Boards ignore a typographic minus, which would reverse a move.
-                raise self._error(column, f"{char!r} is no character that a board reads")
-            else:
-                out.append(char)
-        if depth:
-            raise self._error(opened, "the comment has no end")
-        return "".join(out)
-
-    def _commands(self, words: list[_Word]) -> dict[str, str]:
-        """Return modal group -> command; at most one command of each group."""
-        found: dict[str, str] = {}
-        for word in words:
-            if word.letter not in "GM":
-                continue
-            if word.name in _REFUSED:
-                raise self._error(word.column, f"{word.name} {_REFUSED[word.name]}")
-            group = _GROUP_OF.get(word.name)
-            if group is None:
-                raise self._error(word.column, f"{word.name} is not supported (error:20)")
-            if group in found:
-                raise self._error(word.column, f"{found[group]} and {word.name} are both {group} (error:21)")
-            found[group] = word.name
-            users = [name for name in found.values() if name in _AXIS_USERS]
-            if len(users) > 1:
-                raise self._error(word.column, f"{' and '.join(users)} both use the axis words (error:24)")
-        return found
-
-    def _values(self, words: list[_Word]) -> dict[str, _Word]:
-        found: dict[str, _Word] = {}
-        for word in words:
-            if word.letter in "GM":
-                continue
-            if word.letter not in _VALUES:
-                raise self._error(word.column, f"{word.letter} is not supported (error:20)")
-            if word.letter in found:
-                raise self._error(word.column, f"{word.letter} is given twice (error:25)")
-            if word.letter in "FPST" and word.value < 0:
-                raise self._error(word.column, f"{word.letter}{word.value:g} is negative (error:4)")
-            most, code = _LARGEST.get(word.letter, (math.inf, 0))
-            if word.value > most:
-                raise self._error(word.column, f"{word.letter}{word.value:.0f} is above {most:.0f} (error:{code})")
-            found[word.letter] = word
-        return found
-
-    # --- meaning -------------------------------------------------------------------------------------------------
-
-    def _follow(self, commands: dict[str, str], values: dict[str, _Word], words: list[_Word]) -> tuple[float, float]:
+    def _follow(self, line: ParsedLine) -> tuple[float, float]:
         """Return the line's duration in seconds and the feed of its move in mm/min, 0 without a move."""
-        modes = self._modes
+        modes, commands, values, axes = self._modes, line.commands, line.values, line.axes
         modes.scale = {"G20": 25.4, "G21": 1.0}.get(commands.get("units", ""), modes.scale)
         modes.plane = commands.get("plane", modes.plane)
         modes.distance = commands.get("distance", modes.distance)
         self._feed_by(commands.get("feed mode", modes.feed_mode))
         system = commands.get("coordinate system", modes.system)
         if system not in self._offsets:
-            raise self._error(words[0].column, f"the offset of {system} is not known here")
+            raise line.error(line.words[0], f"the offset of {system} is not known here")
         modes.system = system
         if "F" in values:
             modes.feed = values["F"].value * (modes.scale if modes.feed_mode == "G94" else 1.0)
@@ -316,68 +168,67 @@ class ProgramChecker:
             modes.motion, modes.plane, modes.distance, modes.system = "G1", "G17", "G90", "G54"
             self._feed_by("G94")
         special = commands.get("non-modal", "")
-        axes = [values[letter] for letter in "XYZ" if letter in values]
         if axes and (taken := _NO_AXES.intersection(commands.values())):
-            raise self._error(axes[0].column, f"{min(taken)} takes no axis words: a board would move by them")
+            raise line.error(line.axes[0], f"{min(taken)} takes no axis words: a board would move by them")
         if special == "G4":
             if "P" not in values:
-                raise self._error(words[0].column, "G4 needs P (error:28)")
+                raise line.error(line.words[0], "G4 needs P (error:28)")
             return values["P"].value, 0.0
         if special.startswith("G92"):
-            self._shift(special, values, axes, words)
+            self._shift(special, line)
             return 0.0, 0.0
         modes.motion = commands.get("motion", modes.motion)
         if special == "G53" and modes.motion not in ("G0", "G1"):
-            raise self._error(words[0].column, "G53 needs G0 or G1 (error:30)")
+            raise line.error(line.words[0], "G53 needs G0 or G1 (error:30)")
         if modes.motion == "G80":
             if axes:
-                raise self._error(axes[0].column, "axis words without a motion (error:31)")
+                raise line.error(line.axes[0], "axis words without a motion (error:31)")
             return 0.0, 0.0
         if not axes:
             if "motion" in commands and modes.motion in ("G2", "G3"):
-                raise self._error(words[0].column, "an arc needs an axis word of its plane (error:26)")
+                raise line.error(line.words[0], "an arc needs an axis word of its plane (error:26)")
             return 0.0, 0.0
         none = plain(modes.feed / modes.scale, 6) == "0"
         if modes.motion != "G0" and (none or (modes.feed_mode == "G93" and "F" not in values)):
-            raise self._error(axes[0].column, "no feed rate (error:22)")
-        return self._move(special == "G53", values, axes)
+            raise line.error(line.axes[0], "no feed rate (error:22)")
+        return self._move(special == "G53", line)
 
-    def _all_used(self, commands: dict[str, str], values: dict[str, _Word]) -> None:
-        used = "FNSTXYZ"
+    def _all_used(self, line: ParsedLine) -> None:
+        used, commands, values = "FNSTXYZ", line.commands, line.values
         if commands.get("non-modal") == "G4":
             used += "P"
         elif "non-modal" not in commands and self._modes.motion in ("G2", "G3") and not values.keys().isdisjoint("XYZ"):
             used += "R" if "R" in values else "IJK"
         for letter, word in values.items():
             if letter not in used:
-                raise self._error(word.column, f"{letter} is of no use here (error:36)")
+                raise line.error(word, f"{letter} is of no use here (error:36)")
 
     def _feed_by(self, mode: str) -> None:
         """Switch to a feed mode; an F value of another mode is no feed in this one."""
         if mode != self._modes.feed_mode:
             self._modes.feed_mode, self._modes.feed = mode, 0.0
 
-    def _shift(self, special: str, values: dict[str, _Word], axes: list[_Word], words: list[_Word]) -> None:
-        modes = self._modes
+    def _shift(self, special: str, line: ParsedLine) -> None:
+        modes, values = self._modes, line.values
         if special == "G92.1":
             offset = self._offsets[modes.system]
             if self._kept_g92 and any(offset):
-                raise self._error(
-                    next(word.column for word in words if word.name == special),
+                raise line.error(
+                    next(word for word in line.words if word.name == special),
                     f"G92.1 moves all targets by what of the work offset ({', '.join(f'{v:g}' for v in offset)}) mm is "
                     "a G92, and how much that is, is not known here: leave it out, and send it from a terminal before",
                 )
             modes.shift, self._kept_g92 = [0.0, 0.0, 0.0], False
             return
-        if not axes:
-            raise self._error(words[0].column, "G92 needs axis words (error:26)")
+        if not line.axes:
+            raise line.error(line.words[0], "G92 needs axis words (error:26)")
         for axis, letter in enumerate("XYZ"):
             if letter in values:
                 value = values[letter].value * modes.scale
                 modes.shift[axis] = self._at[axis] - self._offsets[modes.system][axis] - value
 
-    def _move(self, machine: bool, values: dict[str, _Word], axes: list[_Word]) -> tuple[float, float]:
-        modes, target = self._modes, list(self._at)
+    def _move(self, machine: bool, line: ParsedLine) -> tuple[float, float]:
+        modes, values, target = self._modes, line.values, list(self._at)
         for axis, letter in enumerate("XYZ"):
             if letter not in values:
                 continue
@@ -389,29 +240,27 @@ class ProgramChecker:
             else:
                 target[axis] = value + self._offsets[modes.system][axis] + modes.shift[axis]
         if modes.motion in ("G2", "G3"):
-            arc = self._arc(target, values, axes)
+            arc = self._arc(target, line)
             length, extremes, way = arc.length, arc.extremes(), arc.chords()
         else:
             length, extremes, way = math.dist(self._at, target), [target], [target]
         for point in extremes:
-            self._inside(point, values, axes)
+            self._inside(point, line)
         seconds, feed = self._pace(length, target)
         for point in way:
             self.path.append(point, feed)
         self._at = target
         return seconds, feed
 
-    def _inside(self, point: Sequence[float], values: dict[str, _Word], axes: list[_Word]) -> None:
+    def _inside(self, point: Sequence[float], line: ParsedLine) -> None:
         for axis, letter in enumerate("XYZ"):
             low, high = self._bounds.low_mm[axis], self._bounds.high_mm[axis]
             if not low - _ROUNDING_MM <= point[axis] <= high + _ROUNDING_MM:
-                column = values[letter].column if letter in values else axes[0].column
+                word = line.values.get(letter, line.axes[0])
                 found = f"{point[axis]:.3f}"
                 if low <= float(found) <= high:
                     found = f"{point[axis]:.6f}"
-                raise self._error(
-                    column, f"{letter} = {found} mm (machine) is outside {low:g} to {high:g} mm (ALARM:2)"
-                )
+                raise line.error(word, f"{letter} = {found} mm (machine) is outside {low:g} to {high:g} mm (ALARM:2)")
 
     def _pace(self, length: float, target: Sequence[float]) -> tuple[float, float]:
         """Return the duration of a move in seconds and its feed in mm/min."""
@@ -424,14 +273,14 @@ class ProgramChecker:
             return 60.0 / modes.feed, max(length * modes.feed, 1.0)
         return 60.0 * length / modes.feed, modes.feed
 
-    def _arc(self, target: list[float], values: dict[str, _Word], axes: list[_Word]) -> Arc:
-        modes = self._modes
+    def _arc(self, target: list[float], line: ParsedLine) -> Arc:
+        modes, values = self._modes, line.values
         a, b, _ = plane = _PLANES[modes.plane]
         if "XYZ"[a] not in values and "XYZ"[b] not in values:
-            raise self._error(axes[0].column, "an arc needs an axis word of its plane (error:26)")
+            raise line.error(line.axes[0], "an arc needs an axis word of its plane (error:26)")
         clockwise = modes.motion == "G2"
         start, end = (self._at[a], self._at[b]), (target[a], target[b])
-        centre = self._centre(start, end, clockwise, a, b, values, axes)
+        centre = self._centre(start, end, clockwise, (a, b), line)
         return Arc(start=self._at, end=target, plane=plane, centre=centre, clockwise=clockwise)
 
     def _centre(
@@ -439,29 +288,27 @@ class ProgramChecker:
         start: tuple[float, float],
         end: tuple[float, float],
         clockwise: bool,
-        a: int,
-        b: int,
-        values: dict[str, _Word],
-        axes: list[_Word],
+        plane: tuple[int, int],
+        line: ParsedLine,
     ) -> tuple[float, float]:
-        modes = self._modes
+        modes, values = self._modes, line.values
         if "R" in values:
             radius = values["R"].value * modes.scale
             chord = math.dist(start, end)
             if chord == 0 or chord > 2 * abs(radius) * (1 + 1e-9):
-                raise self._error(values["R"].column, f"radius {radius:g} mm does not span {chord:g} mm (error:34)")
+                raise line.error(values["R"], f"radius {radius:g} mm does not span {chord:g} mm (error:34)")
             height = math.sqrt(max(radius * radius - chord * chord / 4, 0.0))
             side = height if clockwise == (radius < 0) else -height
             along = ((end[0] - start[0]) / chord, (end[1] - start[1]) / chord)
             middle = ((start[0] + end[0]) / 2, (start[1] + end[1]) / 2)
             return middle[0] - side * along[1], middle[1] + side * along[0]
-        offsets = ["IJK"[a], "IJK"[b]]
+        offsets = ["IJK"[axis] for axis in plane]
         if not any(letter in values for letter in offsets):
-            raise self._error(axes[0].column, f"an arc needs {offsets[0]}, {offsets[1]} or R (error:35)")
+            raise line.error(line.axes[0], f"an arc needs {offsets[0]}, {offsets[1]} or R (error:35)")
         di, dj = (values[letter].value * modes.scale if letter in values else 0.0 for letter in offsets)
         centre = (start[0] + di, start[1] + dj)
         error = abs(math.dist(start, centre) - math.dist(end, centre))
         # GRBL rejects a difference above 0.5 mm, and one above 0.005 mm that exceeds 0.1 % of the radius.
         if error > 0.5 or (error > 0.005 and error > 0.001 * math.dist(start, centre)):
-            raise self._error(axes[0].column, f"the arc's radii differ by {error:.3f} mm (error:33)")
+            raise line.error(line.axes[0], f"the arc's radii differ by {error:.3f} mm (error:33)")
         return centre
