@@ -21,7 +21,9 @@ import numpy as np
 from rosbags.typesys import Stores, get_typestore
 from rows import bound, row, write
 
-from scope_bench.adapters.bag.bags import BagReader, BagTopic, BagWriter
+from scope_bench.adapters.bag.bag_reader import BagReader
+from scope_bench.adapters.bag.bag_writer import BagWriter
+from scope_bench.adapters.bag.bags import BagTopic
 
 IMAGE, INFO = "sensor_msgs/msg/Image", "sensor_msgs/msg/CameraInfo"
 WIDTH, HEIGHT, RATE_HZ, PAIRS = 640, 480, 15, 149

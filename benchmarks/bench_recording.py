@@ -21,7 +21,8 @@ from sensor_msgs.msg import Image
 
 from icu_common.nodes import qos
 from icu_common.nodes.runtime import prepare_transport
-from scope_bench.adapters.bag.bags import BagTopic, BagWriter
+from scope_bench.adapters.bag.bag_writer import BagWriter
+from scope_bench.adapters.bag.bags import BagTopic
 
 TOPICS = ("/stereo/left/image_raw", "/stereo/right/image_raw")
 RATE_HZ, WIDTH, HEIGHT = 30, 1280, 960

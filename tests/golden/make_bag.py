@@ -41,7 +41,9 @@ from icu_common.nodes.messages.heads import header
 from icu_common.nodes.messages.joints import joint_message, trajectory_message
 from icu_common.nodes.messages.places import point_message
 from icu_common.nodes.messages.results import result_message
-from scope_bench.adapters.bag.bags import BagReader, BagTopic, BagWriter
+from scope_bench.adapters.bag.bag_reader import BagReader
+from scope_bench.adapters.bag.bag_writer import BagWriter
+from scope_bench.adapters.bag.bags import BagTopic
 from scope_bench.imaging.timing import Shot
 from scope_bench.nodes.bag_qos import recorded_qos
 

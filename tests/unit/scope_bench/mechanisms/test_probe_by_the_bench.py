@@ -13,7 +13,7 @@ from unit.gantry_driver.mock_service import Running, expect, wait_for
 
 from icu_common.core.configuration.config import from_mapping
 from icu_common.core.panel.panel_layout import load_layout
-from scope_bench.adapters.simulation import Simulation
+from scope_bench.adapters.bench.simulation import Simulation
 from scope_bench.core.configuration import BenchConfig
 
 LAYOUT = load_layout(Path(__file__).parents[4] / "config/scopes/dso_bench_4.yaml")

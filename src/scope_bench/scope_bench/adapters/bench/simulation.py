@@ -12,19 +12,20 @@ import time
 from collections import deque
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, ClassVar, TextIO
+from typing import Any, ClassVar
 
 import numpy as np
 
-from icu_common.adapters.frame_link import FRAMES, FrameServer
 from icu_common.adapters.steps.step_gate import PATIENCE_S
 from icu_common.adapters.steps.step_ledger import StepLedger
-from icu_common.adapters.unix_listener import listen_at
 from icu_common.core.configuration.config import from_mapping, to_mapping
 from icu_common.core.geometry.geometry import Transform
 from icu_common.core.panel.panel_layout import PanelLayout
-from scope_bench.adapters.motion_client import MotionClient, MotorSample
-from scope_bench.adapters.step_time import StepTime
+from scope_bench.adapters.bench.board_link import BoardLink
+from scope_bench.adapters.bench.image_output import ImageOutput
+from scope_bench.adapters.bench.request_socket import RequestSocket
+from scope_bench.adapters.bench.step_time import StepTime
+from scope_bench.adapters.bench.truth_log import TruthLog
 from scope_bench.core.bench import Bench, matrix
 from scope_bench.core.configuration import BenchConfig
 from scope_bench.core.renderer import Renderer
@@ -34,20 +35,10 @@ from scope_bench.imaging.stream import CameraStream
 
 EXPOSURE_LAG_S = 0.015
 """Seconds by which the exposure is in the past, so that the motor samples around it have arrived."""
-RECONNECT_S = 0.25
-SEND_S = 0.03
 STEP_LOOK_MIN_S, STEP_LOOK_MAX_S = 0.0005, 0.004
 """Shortest and longest interval between two checks whether a step is finished."""
 _LOOK_SHARE = 0.2
 """Interval between two checks as a share of the time waited so far."""
-BUSY_S = 0.3
-"""Simulated seconds after a motion or an order in which steps stay short: one order follows another."""
-PROBE_STEP_S = 0.005
-"""Simulated time between two samples near the panel while the stylus has a switch."""
-_POLL_BYTES = 2
-"""Bytes of status requests in a step; an order has more, with its line end."""
-_STATES_AT_REST = ("Idle", "Alarm", "Sleep")
-CAMERA_STATES = ("ok", "frozen", "unplugged")
 
 
 @dataclasses.dataclass(frozen=True, slots=True, kw_only=True)
@@ -95,30 +86,26 @@ class Simulation:
     ) -> None:
         self._layout = layout
         self._config = config
-        self._steps, self._ledger = steps, ledger
+        self._steps = steps
         self._bench = Bench(layout, config)
         self._renderer = Renderer(layout, config, self._bench.panel_from)
         self._stream = CameraStream()
-        self._camera = "ok"
-        self._frames: FrameServer | None = None
-        self._sent = 0
-        self._readers = 0
+        self._images = ImageOutput(Path(config.frame_socket) if config.frame_socket else None, ledger)
         self._render_s = 0.0
         self._error = ""
         self._hidden: tuple[float, float, float, float] | None = None
         self._jobs: deque[BenchConfig] = deque()
         self._stopping = False
-        self._clients: dict[socket.socket, bytearray] = {}
         self._selector = selectors.DefaultSelector()
         self._wake_read, self._wake_write = socket.socketpair()
         self._wake_read.setblocking(False)
         self._wake_write.setblocking(False)
         self._selector.register(self._wake_read, selectors.EVENT_READ, self._woken)
-        self._motion = MotionClient(Path(config.motion_socket)) if config.motion_socket else None
-        self._reconnect_at = 0.0
-        self._busy_until_s = 0.0
-        self._listener: socket.socket | None = None
-        self._log: TextIO | None = None
+        self._board = BoardLink(
+            Path(config.motion_socket) if config.motion_socket else None, self._bench, self._selector
+        )
+        self._requests: RequestSocket | None = None
+        self._log: TruthLog | None = None
         try:
             self._open()
         except OSError:
@@ -128,14 +115,11 @@ class Simulation:
 
     def _open(self) -> None:
         config = self._config
-        self._plug()
+        self._images.open()
         if config.test_socket:
-            self._listener = listen_at(Path(config.test_socket))
-            self._selector.register(self._listener, selectors.EVENT_READ, self._accept)
+            self._requests = RequestSocket(Path(config.test_socket), self._selector, self._answer)
         if config.truth_log:
-            log = Path(config.truth_log)
-            log.parent.mkdir(parents=True, exist_ok=True)
-            self._log = log.open("a", encoding="utf-8")
+            self._log = TruthLog(Path(config.truth_log))
 
     def start(self) -> None:
         """Start the thread."""
@@ -159,13 +143,13 @@ class Simulation:
 
     def health(self) -> Health:
         """Return numbers for the diagnostics; from any thread."""
-        motion, steps = self._motion, self._steps
+        steps = self._steps
         return Health(
-            board_connected=motion is not None and motion.socket is not None,
-            frames_sent=self._sent,
-            readers=self._readers,
+            board_connected=self._board.connected,
+            frames_sent=self._images.sent,
+            readers=self._images.readers,
             render_ms=self._render_s * 1000,
-            bad_lines=motion.bad_lines if motion is not None else 0,
+            bad_lines=self._board.bad_lines,
             error=self._error,
             factor=1.0 if steps is None else steps.factor(),
             left_behind="" if steps is None else ", ".join(f"{one.program} ({one.topic})" for one in steps.left_behind),
@@ -198,10 +182,9 @@ class Simulation:
         while not self._stopping:
             now = time.monotonic()
             due = [next_frame - now]
-            if self._motion is not None and self._motion.socket is None:
-                due.append(self._reconnect_at - now)
+            due += self._board.retries_in_s(now)
             self._serve(min(due))
-            self._connect()
+            self._board.connect()
             now = time.monotonic()
             if now >= next_frame:
                 self._bench.advance(now)
@@ -210,28 +193,26 @@ class Simulation:
                 period = 1 / self._config.camera.rate_hz
                 # Keep the period; after a long pause start from now instead of catching up.
                 next_frame = next_frame + period if now - next_frame < period else now + period
-            elif self._frames is not None:
-                self._frames.flush()
+            else:
+                self._images.flush()
             self._write_log()
 
     def _run_in_steps(self, steps: StepTime) -> None:
         next_frame_ns = steps.now_ns + round(1e9 / self._config.camera.rate_hz)
         while not self._stopping:
-            self._connect()
+            self._board.connect()
             while not self._stopping and (wait_s := steps.wait_s()) > 0:
                 self._serve(wait_s)
-            steps.advance(next_frame_ns, long=not self._busy(steps.now_s))
+            steps.advance(next_frame_ns, long=not self._board.is_busy(steps.now_s))
             # Timers and goals of this step come before the reaction of the board and the cameras.
             self._serve_until(steps.settled)
-            self._follow_board(steps.now_s)
+            self._board.follow(steps.now_s)
             self._bench.advance(steps.now_s)
             if steps.now_ns >= next_frame_ns:
                 self._expose(steps.now_s, steps.now_ns)
                 next_frame_ns += round(1e9 / self._config.camera.rate_hz)
             given_up_s = time.monotonic() + PATIENCE_S
-            self._serve_until(
-                lambda: self._frames is None or self._frames.flush() or time.monotonic() > given_up_s  # noqa: B023
-            )
+            self._serve_until(lambda: self._images.flush() or time.monotonic() > given_up_s)  # noqa: B023
             self._serve_until(lambda: self._board_settled(steps))
             self._write_log()
 
@@ -249,82 +230,26 @@ class Simulation:
             waited_s = time.monotonic() - begin_s
             self._serve(min(max(_LOOK_SHARE * waited_s, STEP_LOOK_MIN_S), STEP_LOOK_MAX_S))
 
-    def _follow_board(self, until_s: float) -> None:
-        """Run the board to a time, and process its motion up to then."""
-        motion = self._motion
-        if motion is None or motion.socket is None:
-            return
-        link, received = motion.socket, motion.received
-        rests = True
-        while motion.socket is not None:
-            # A switch in the stylus acts on the board while it moves, so near the panel a step has parts.
-            part_s = min(motion.board_s + PROBE_STEP_S, until_s) if self._bench.switch_is_near() else until_s
-            samples = motion.advance(max(part_s, motion.board_s))
-            rests = rests and all(sample.state in _STATES_AT_REST for sample in samples)
-            self._feed(motion, samples)
-            if part_s >= until_s or not samples:
-                break
-        if motion.socket is None:
-            self._selector.unregister(link)
-        if motion.received - received > _POLL_BYTES or not rests:
-            self._busy_until_s = until_s + BUSY_S
-
-    def _feed(self, motion: MotionClient, samples: list[MotorSample]) -> None:
-        """Process motor samples, and set the board's probe input to the resulting state of the stylus switch."""
-        for sample in samples:
-            self._bench.feed(sample.mpos_mm, sample.spindle, sample.coolant, sample.time_s)
-        motion.set_probe(self._bench.switch_closed)
-
-    def _busy(self, now_s: float) -> bool:
-        """Whether the machine moves or has just received an order: board and driver then need short steps."""
-        return now_s < self._busy_until_s
-
     def _board_settled(self, steps: StepTime) -> bool:
         """Whether board, driver and graph have processed everything sent in this step."""
-        motion = self._motion
         if not steps.settled():
             return False
-        if motion is not None and motion.socket is not None:
-            self._follow_board(steps.now_s)
-            if not steps.serial_settled(motion.sent, motion.received):
+        if self._board.connected:
+            self._board.follow(steps.now_s)
+            if not steps.serial_settled(self._board.sent, self._board.received):
                 return False
         return steps.settled()
 
-    def _connect(self) -> None:
-        motion, now = self._motion, time.monotonic()
-        if motion is None or motion.socket is not None or now < self._reconnect_at:
-            return
-        self._reconnect_at = now + RECONNECT_S
-        if motion.connect() and motion.socket is not None:
-            self._selector.register(motion.socket, selectors.EVENT_READ, self._read_motion)
-
-    def _read_motion(self) -> None:
-        motion = self._motion
-        if motion is None or motion.socket is None:
-            return
-        link = motion.socket
-        self._feed(motion, motion.read())
-        if motion.socket is None:
-            self._selector.unregister(link)
-
     def _expose(self, exposure_s: float, stamp_ns: int) -> None:
         begin_s = time.monotonic()
-        frames = self._frames
-        self._readers = frames.reader_count() if frames is not None else 0
-        if frames is None or not self._readers or self._camera != "ok":
+        if not self._images.is_wanted():
             return
         self._renderer.follow_panel(self._bench.panel_from)
         images = self._stream.take(self._config, self._bench, self._renderer, exposure_s)
         if not images:  # both cameras lost their images
             return
-        if self._ledger is not None:
-            self._ledger.expect(FRAMES, min(self._readers, self._ledger.subscriptions(FRAMES)))
         stamps_ns = [stamp_ns - round((exposure_s - image.stamp_s) * 1e9) for image in images]
-        frames.send([image.picture for image in images], stamps_ns, [image.camera for image in images])
-        deadline = time.monotonic() + SEND_S
-        while not frames.flush() and (left := deadline - time.monotonic()) > 0:
-            frames.wait_writable(left)
-        self._sent += 1
+        self._images.send(images, stamps_ns)
         self._render_s = time.monotonic() - begin_s
 
     def _reconfigure(self, config: BenchConfig) -> None:
@@ -347,44 +272,7 @@ class Simulation:
         if self._log is None or not records:
             return
         offset = time.time() - time.monotonic() if self._steps is None else self._steps.start_ns / 1e9
-        for record in records:
-            self._log.write(json.dumps({"t": round(record.pop("time_s") + offset, 6), **record}) + "\n")
-        self._log.flush()
-
-    def _plug(self) -> None:
-        if self._config.frame_socket and self._frames is None:
-            self._frames = FrameServer(Path(self._config.frame_socket))
-
-    def _unplug(self) -> None:
-        if self._frames is not None:
-            self._frames.close()
-            self._frames = None
-
-    def _accept(self) -> None:
-        if self._listener is not None:
-            with contextlib.suppress(OSError):
-                client, _ = self._listener.accept()
-                client.setblocking(False)
-                self._clients[client] = bytearray()
-                self._selector.register(client, selectors.EVENT_READ, lambda: self._read_client(client))
-
-    def _read_client(self, client: socket.socket) -> None:
-        buffer = self._clients[client]
-        try:
-            data = client.recv(65536)
-            buffer += data
-            while (end := buffer.find(b"\n")) >= 0:
-                line = bytes(buffer[:end])
-                del buffer[: end + 1]
-                client.sendall(json.dumps(self._answer(line)).encode() + b"\n")
-        except BlockingIOError:
-            return
-        except OSError:
-            data = b""
-        if not data:
-            self._selector.unregister(client)
-            client.close()
-            del self._clients[client]
+        self._log.write(records, offset)
 
     def _answer(self, line: bytes) -> dict[str, Any]:
         self._write_log()  # the log is then complete up to this truth
@@ -410,7 +298,7 @@ class Simulation:
             "camera_from_base": matrix(camera_from_base),
             "camera_from_panel": matrix(camera_from_base @ self._bench.panel_from),
             "board_connected": self.health().board_connected,
-            "camera": self._camera,
+            "camera": self._images.state,
         }
 
     def _do_set(self, request: dict[str, Any]) -> None:
@@ -442,14 +330,7 @@ class Simulation:
         self._renderer.knock(str(request["camera"]), CameraShift(turn_deg=(x, y, z), lens_px=(u, v)))
 
     def _do_camera(self, request: dict[str, Any]) -> None:
-        state = request["state"]
-        if state not in CAMERA_STATES:
-            raise ValueError(f"state {state!r} is none of {', '.join(CAMERA_STATES)}")
-        self._camera = state
-        if state == "unplugged":
-            self._unplug()
-        else:
-            self._plug()
+        self._images.set_state(request["state"])
 
     _COMMANDS: ClassVar[dict[str, Callable[[Simulation, dict[str, Any]], dict[str, Any] | None]]] = {
         "truth": _do_truth,
@@ -462,16 +343,11 @@ class Simulation:
 
     def _close(self) -> None:
         self._write_log()
-        self._unplug()
-        if self._motion is not None:
-            self._motion.close()
-        for client in self._clients:
-            client.close()
-        self._clients.clear()
-        if self._listener is not None:
-            self._listener.close()
-            Path(self._config.test_socket).unlink(missing_ok=True)
-            self._listener = None
+        self._images.close()
+        self._board.close()
+        if self._requests is not None:
+            self._requests.close()
+            self._requests = None
         if self._log is not None:
             self._log.close()
             self._log = None
