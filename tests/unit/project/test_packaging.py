@@ -353,11 +353,12 @@ def test_ros2_launch_refuses_a_second_graph_and_a_namespace_that_is_none(
     assert start(given | {"package": "gantry_driver"}) and start(given | {"namespace": "bed_2"})
 
 
-@pytest.mark.parametrize("path", sorted((ROOT / "benchmarks").glob("*.py")), ids=lambda p: p.stem)
+@pytest.mark.parametrize("path", sorted((ROOT / "benchmarks").rglob("*.py")), ids=lambda p: p.stem)
 def test_benchmarks_find_what_they_import_of_the_project(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Tests do not run them, and some imports wait inside functions."""
-    own = {p.stem for p in [*path.parent.glob("*.py"), *(ROOT / "tests").iterdir()]} | {p.name for p in PACKAGES}
-    monkeypatch.syspath_prepend(str(path.parent))
+    folders = ROOT / "benchmarks", ROOT / "tests"
+    own = {p.stem for folder in folders for p in folder.iterdir()} | {p.name for p in PACKAGES}
+    monkeypatch.syspath_prepend(str(ROOT / "benchmarks"))
     for node in ast.walk(ast.parse(path.read_text())):
         if isinstance(node, ast.ImportFrom) and (node.module or "").partition(".")[0] in own:
             module = importlib.import_module(str(node.module))

@@ -13,18 +13,22 @@ more than ours differs from the peers.
 from __future__ import annotations
 
 import argparse
+import sys
 from pathlib import Path
 
 import cv2
 import numpy as np
-from bench_harris import SIZES, picture
-from rows import Row, bound, data_folder, interleaved_ms, row, write
 
 from harris_perception.adapters.boundary_files import drawn_pictures, read_drawn
 from harris_perception.core.corners.harris import HarrisDetector
 from harris_perception.core.edges.edges import EDGE, CombinedDetector, EdgeConfig, EdgeDetector
 from harris_perception.core.evaluation.boundary_evaluation import Finder, counts_of, ods_ois, our_finders, peer_finders
 from icu_common.adapters.memory import keep_large_blocks
+
+sys.path.append(str(Path(__file__).resolve().parents[1]))
+sys.path.append(str(Path(__file__).resolve().parents[2] / "tests"))
+from perception.bench_harris import SIZES, picture
+from rows import Row, bound, data_folder, interleaved_ms, row, write
 
 Pictures = list[tuple[np.ndarray, list[np.ndarray]]]
 

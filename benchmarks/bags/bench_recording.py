@@ -16,13 +16,16 @@ from pathlib import Path
 import rclpy
 from mcap.writer import CompressionType, Writer
 from rclpy.serialization import serialize_message
-from rows import bound, row, write
 from sensor_msgs.msg import Image
 
 from icu_common.nodes import qos
 from icu_common.nodes.runtime import prepare_transport
 from scope_bench.adapters.bag.bag_writer import BagWriter
 from scope_bench.adapters.bag.bags import BagTopic
+
+sys.path.append(str(Path(__file__).resolve().parents[1]))
+sys.path.append(str(Path(__file__).resolve().parents[2] / "tests"))
+from rows import bound, row, write
 
 TOPICS = ("/stereo/left/image_raw", "/stereo/right/image_raw")
 RATE_HZ, WIDTH, HEIGHT = 30, 1280, 960

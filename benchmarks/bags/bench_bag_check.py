@@ -19,11 +19,14 @@ from typing import Any
 import cv2
 import numpy as np
 from rosbags.typesys import Stores, get_typestore
-from rows import bound, row, write
 
 from scope_bench.adapters.bag.bag_reader import BagReader
 from scope_bench.adapters.bag.bag_writer import BagWriter
 from scope_bench.adapters.bag.bags import BagTopic
+
+sys.path.append(str(Path(__file__).resolve().parents[1]))
+sys.path.append(str(Path(__file__).resolve().parents[2] / "tests"))
+from rows import bound, row, write
 
 IMAGE, INFO = "sensor_msgs/msg/Image", "sensor_msgs/msg/CameraInfo"
 WIDTH, HEIGHT, RATE_HZ, PAIRS = 640, 480, 15, 149
@@ -94,7 +97,7 @@ def run(*arguments: str | Path) -> tuple[float, str]:
     """Run bag_check; return the seconds it took and its output."""
     command = [str(Path(sys.executable).with_name("bag_check"))]
     if not Path(command[0]).is_file():
-        root = Path(__file__).parents[1]
+        root = Path(__file__).parents[2]
         command = [str(root / "ros2_ws/install/scope_bench/lib/scope_bench/bag_check")]
     begun_s = time.monotonic()
     done = subprocess.run(

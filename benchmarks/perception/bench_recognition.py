@@ -22,10 +22,6 @@ from typing import Any
 
 import cv2
 import numpy as np
-from rows import Row, bound, row, write
-
-sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))
-from unit.harris_perception import panel_scene as scene
 
 from harris_perception.core.corners.harris import HarrisDetector
 from harris_perception.core.pose.fiducials import MarkerFinder
@@ -35,6 +31,11 @@ from harris_perception.core.recognition.panel_template import draw_panel, px_fro
 from harris_perception.core.recognition.recognition import PanelRecogniser
 from icu_common.core.geometry.geometry import Transform
 from icu_common.core.panel.panel_layout import PanelLayout, load_layout, parse_layout
+
+sys.path.append(str(Path(__file__).resolve().parents[1]))
+sys.path.append(str(Path(__file__).resolve().parents[2] / "tests"))
+from rows import Row, bound, row, write
+from unit.harris_perception import panel_scene as scene
 
 LAYOUT = scene.bench_layout()
 MARKED = parse_layout(
@@ -47,7 +48,7 @@ markers:
 )
 CAMERA = scene.camera()
 POINTS = scene.control_points_m(LAYOUT)
-SCOPES = Path(__file__).resolve().parents[1] / "config" / "scopes"
+SCOPES = Path(__file__).resolve().parents[2] / "config" / "scopes"
 HARDSHIPS: dict[str, dict[str, float]] = {
     "none": {},
     "occlusion 30 %": {"hidden": 0.3},

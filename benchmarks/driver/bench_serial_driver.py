@@ -33,7 +33,6 @@ from typing import Any
 import numpy as np
 import serial
 from pygrbl_streamer import GrblStreamer
-from rows import Row, bound, row, write
 
 from gantry_driver.adapters.guard.places import guard_path
 from gantry_driver.core.configuration.machine_config import DriverConfig
@@ -43,8 +42,10 @@ from gantry_driver.core.wire.stages import make_script
 from icu_common.adapters.real_time import DRIVER, ask_for_real_time
 from icu_common.core.geometry.frames import JOINTS
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
+sys.path.append(str(Path(__file__).resolve().parents[1]))
+sys.path.append(str(Path(__file__).resolve().parents[2] / "tests"))
 from nodes.grbl_board import GrblBoard, LinkRig
+from rows import Row, bound, row, write
 
 WIRE_BYTES_S = 11_520.0
 MOVES, PEER_MOVES = 1500, 300
@@ -144,7 +145,7 @@ def ordinary() -> None:
 @contextmanager
 def camera_graph() -> Iterator[None]:
     """Run the graph's cameras and perception as ``make demo`` does, without the programs that move the machine."""
-    root = Path(__file__).resolve().parents[1]
+    root = Path(__file__).resolve().parents[2]
     with tempfile.TemporaryDirectory() as folder:
         command = [
             str(root / "ros2_ws/install/scope_bench/lib/scope_bench/bring_up"),

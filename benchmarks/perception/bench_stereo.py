@@ -10,13 +10,12 @@ disparities, on two threads. The node's time also includes rectification, colour
 from __future__ import annotations
 
 import argparse
+import sys
 import time
+from pathlib import Path
 
 import cv2
 import numpy as np
-from rows import Row, bound, data_folder, interleaved_ms, row, write
-from simulated_robot import LAYOUT, OUT_OF_SIGHT, Studio
-from stereo_scenes import drawn_scene
 
 from harris_perception.adapters.stereo_folders import scenes
 from harris_perception.core.corners.harris import HarrisConfig, HarrisDetector
@@ -31,6 +30,12 @@ from icu_common.nodes.messages.heads import header
 from scope_bench.core.configuration import BenchConfig
 from scope_bench.core.instrument import InstrumentState
 from scope_bench.core.renderer import Moment
+
+sys.path.append(str(Path(__file__).resolve().parents[1]))
+sys.path.append(str(Path(__file__).resolve().parents[2] / "tests"))
+from perception.simulated_robot import LAYOUT, OUT_OF_SIGHT, Studio
+from perception.stereo_scenes import drawn_scene
+from rows import Row, bound, data_folder, interleaved_ms, row, write
 
 MEAN_BAD_2 = 3.6
 _DRAWN = (1, 2, 3)

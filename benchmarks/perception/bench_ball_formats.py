@@ -3,19 +3,19 @@
 The five panels are rendered with the ball at seeded positions, 2.5 to 20 mm above the face and at the raised stylus's
 height. Each format's chain (tests/camera_chain.py) is applied to the region around the ball, aligned to JPEG's blocks.
 
-    .venv/bin/python benchmarks/bench_ball_formats.py --each 60
+    .venv/bin/python benchmarks/perception/bench_ball_formats.py --each 60
 """
 
 from __future__ import annotations
 
 import argparse
+import sys
 from collections import Counter
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
-from camera_chain import CHAINS
-from parameter_files import CONFIG, parameters
 
 from harris_perception.core.stylus.stylus import StylusConfig, StylusTracker
 from icu_common.core.configuration.config import from_mapping
@@ -24,6 +24,11 @@ from icu_common.core.panel.panel_layout import load_layout
 from scope_bench.core import instrument
 from scope_bench.core.configuration import BenchConfig
 from scope_bench.core.renderer import Moment, Renderer, base_from_panel
+
+sys.path.append(str(Path(__file__).resolve().parents[1]))
+sys.path.append(str(Path(__file__).resolve().parents[2] / "tests"))
+from camera_chain import CHAINS
+from parameter_files import CONFIG, parameters
 
 SIDE_PX, BLOCK_PX, GREY = 192, 16, 90
 SEED = 1000

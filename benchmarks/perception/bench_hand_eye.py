@@ -10,12 +10,12 @@ from __future__ import annotations
 
 import argparse
 import multiprocessing
+import sys
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
-from rows import Row, bound, row, write
-from simulated_robot import LAYOUT, Robot, Studio
 
 from harris_perception.core.hand_eye.carriage_camera import shifted
 from harris_perception.core.hand_eye.hand_eye import HandEye, HandEyeConfig
@@ -25,6 +25,11 @@ from icu_common.adapters.memory import keep_large_blocks
 from icu_common.core.geometry.geometry import Array
 from scope_bench.core.configuration import BenchConfig, CameraConfig
 from scope_bench.core.renderer import base_from_panel
+
+sys.path.append(str(Path(__file__).resolve().parents[1]))
+sys.path.append(str(Path(__file__).resolve().parents[2] / "tests"))
+from perception.simulated_robot import LAYOUT, Robot, Studio
+from rows import Row, bound, row, write
 
 AIM_P95_MM = 0.5
 CHI_SQUARE, _MACHINES = (0.8, 1.2), 50

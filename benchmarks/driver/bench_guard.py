@@ -22,17 +22,18 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from rows import bound, write
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
-from nodes.guard_rig import DOWN_M, HOMED, BringUpRig, GuardRig
-from ros_rig import Ros, participant
 
 from gantry_driver.adapters.guard.client import GuardLink
 from gantry_driver.core.configuration.machine_config import DriverConfig
 from icu_common.adapters.direct_stop.line import guard_folder, send_stop, stop_path
 
-PAGE = Path(__file__).resolve().parents[1] / "docs/explanation/guard.md"
+sys.path.append(str(Path(__file__).resolve().parents[1]))
+sys.path.append(str(Path(__file__).resolve().parents[2] / "tests"))
+from nodes.guard_rig import DOWN_M, HOMED, BringUpRig, GuardRig
+from ros_rig import Ros, participant
+from rows import bound, write
+
+PAGE = Path(__file__).resolve().parents[2] / "docs/explanation/guard.md"
 BEGIN, END = "<!-- matrix: begin -->\n", "<!-- matrix: end -->"
 DOMAIN = 88
 HOLD_S, LIFT_S, KILLED_HOLD_S, KILLED_LIFT_S = 0.1, 1.5, 0.5, 2.0

@@ -18,15 +18,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from bench_operating import LOOK_EVERY, free_point
-from rows import Row, row, write
-
-sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))
-from parameter_files import CONFIG
-from virtual_robot import VirtualRobot
 
 from icu_common.core.goals.results import GoalResult, Outcome
 from icu_common.core.panel.panel_layout import PanelLayout, load_layout
+
+sys.path.append(str(Path(__file__).resolve().parents[1]))
+sys.path.append(str(Path(__file__).resolve().parents[2] / "tests"))
+from parameter_files import CONFIG
+from robot.bench_operating import LOOK_EVERY, free_point
+from rows import Row, row, write
+from virtual_robot import VirtualRobot
 
 ELLIPSE = 5.991
 """Squared Mahalanobis distance that contains 95 % of a normal distribution in the plane."""

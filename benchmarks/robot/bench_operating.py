@@ -19,14 +19,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rows import OUT, Row, bound, row, write
-
-sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))
-from virtual_robot import VirtualRobot
 
 from gantry_driver.core.job.goal_job import LOOKING, Phase
 from icu_common.core.goals.results import Outcome
 from icu_common.core.panel.panel_layout import Control, PanelLayout
+
+sys.path.append(str(Path(__file__).resolve().parents[1]))
+sys.path.append(str(Path(__file__).resolve().parents[2] / "tests"))
+from rows import OUT, Row, bound, row, write
+from virtual_robot import VirtualRobot
 
 REFERENCE_MM = 5.94
 LOOK_EVERY = 5

@@ -35,7 +35,7 @@ from scope_bench.core.optics import Camera
 from scope_bench.core.renderer import Moment, Renderer, base_from_panel
 from scope_bench.core.stylus_picture import StylusPainter
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 LAYOUT = load_layout(ROOT / "config/scopes/dso_bench_4.yaml")
 STEPS_PER_M = np.array([80e3, 80e3, 400e3])
 _MS = 1_000_000

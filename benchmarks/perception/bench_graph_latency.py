@@ -22,11 +22,9 @@ from typing import Any
 import cv2
 import numpy as np
 import rclpy
-from bench_harris import picture
 from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
-from rows import Row, bound, row, write
 from sensor_msgs.msg import Image, PointCloud2
 
 from harris_perception.core.corners.harris import Corners, HarrisConfig
@@ -35,6 +33,11 @@ from icu_common.nodes import qos
 from icu_common.nodes.messages.cameras import image_message
 from icu_common.nodes.messages.heads import header, stamp_ns
 from icu_common.nodes.runtime import prepare_transport, run
+
+sys.path.append(str(Path(__file__).resolve().parents[1]))
+sys.path.append(str(Path(__file__).resolve().parents[2] / "tests"))
+from perception.bench_harris import picture
+from rows import Row, bound, row, write
 
 RATE_HZ = 30.0
 SETTINGS = HarrisConfig(gradient="sobel")

@@ -28,16 +28,17 @@ from typing import Any
 
 import aiohttp
 import numpy as np
-from rows import Row, bound, write
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
-from page_flood_times import floods, write_passwords
+from icu_common.adapters.real_time import is_real_time
+
+sys.path.append(str(Path(__file__).resolve().parents[1]))
+sys.path.append(str(Path(__file__).resolve().parents[2] / "tests"))
+from page.page_flood_times import floods, write_passwords
+from rows import Row, bound, write
 from system.barcode_camera import READER
 from system.conftest import executable
 from system.machine_rig import MachineRig
 from system.operator_browser import OPTIONS, Operator, browser_program
-
-from icu_common.adapters.real_time import is_real_time
 
 SLOW = {"bits_per_s": 3e6, "delay_s": 0.020}
 VIEWERS = 20

@@ -13,15 +13,19 @@ import subprocess
 import sys
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
-from rows import Row, bound, data_folder, interleaved_ms, row, write
 
 from harris_perception.core.corners.harris import HarrisConfig, HarrisDetector, gaussian_derivative_taps, gaussian_taps
 from harris_perception.core.image.deriche import filtered, recursive_filter
 from icu_common.adapters.memory import keep_large_blocks
+
+sys.path.append(str(Path(__file__).resolve().parents[1]))
+sys.path.append(str(Path(__file__).resolve().parents[2] / "tests"))
+from rows import Row, bound, data_folder, interleaved_ms, row, write
 
 SIZES = ((640, 480), (1280, 720), (1920, 1080))
 GOALS = {(640, 480): 3.0, (1280, 720): 3.0, (1920, 1080): 4.0}
