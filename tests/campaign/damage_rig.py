@@ -13,7 +13,7 @@ from campaign.virtual_link import VirtualRig
 
 from gantry_driver.core.configuration.machine_config import DriverConfig
 from gantry_driver.core.grbl.trajectory_gcode import Waypoint
-from gantry_driver.core.machine.board import TICK_S
+from gantry_driver.core.machine.board_state import TICK_S
 from gantry_driver.core.states.machine_states import Note, Position, StateChanged
 from gantry_driver.mock.serial_line import Damage
 from icu_common.core.geometry.frames import JOINTS

@@ -8,7 +8,7 @@ from enum import Enum
 
 import numpy as np
 
-from gantry_driver.core.contact.heights import Finding
+from gantry_driver.core.contact.heights import HeightFinding
 from gantry_driver.core.contact.lag import Height, Lag
 from gantry_driver.core.contact.press import Evidence
 from gantry_driver.core.job.effects import Effect, Knob
@@ -192,7 +192,7 @@ class Job:
     """Extension of the last look in contact."""
     felt: Felt | None = None
     evidence: tuple[Evidence, ...] = ()
-    findings: tuple[Finding, ...] = ()
+    findings: tuple[HeightFinding, ...] = ()
     plunge_ns: int = 0
     touched_ns: int = 0
     """Time at which the stylus first went down to touch, 0 before."""

@@ -8,7 +8,7 @@ from gantry_driver.core.board_faults.kept_place import KeptPlace
 from gantry_driver.core.board_faults.reports import with_quote
 from gantry_driver.core.grbl.grbl_messages import Dialect, Firmware, Report
 from gantry_driver.core.grbl.session import HOLD
-from gantry_driver.core.machine.board import Board
+from gantry_driver.core.machine.board_state import BoardState
 from gantry_driver.core.states.machine_states import CloseRequested, Phase
 from icu_common.core.goals.results import Outcome
 
@@ -26,7 +26,7 @@ REFUSED = {
 """Unsupported firmwares, and the reasons."""
 
 
-class Connection(Board):
+class Connection(BoardState):
     """One board on one port whose firmware is identified."""
 
     def opened(self, now: float) -> None:

@@ -27,7 +27,7 @@ TICK_S = 0.05
 """Maximum seconds between two ticks."""
 
 
-class Board:
+class BoardState:
     """State of one board and of the goal in progress; each event changes it, and other programs read it as text."""
 
     def __init__(self, config: DriverConfig, *, active: bool = True, left_down: bool = False) -> None:
