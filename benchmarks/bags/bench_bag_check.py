@@ -25,7 +25,6 @@ from scope_bench.adapters.bag.bag_writer import BagWriter
 from scope_bench.adapters.bag.bags import BagTopic
 
 sys.path.append(str(Path(__file__).resolve().parents[1]))
-sys.path.append(str(Path(__file__).resolve().parents[2] / "tests"))
 from rows import bound, row, write
 
 IMAGE, INFO = "sensor_msgs/msg/Image", "sensor_msgs/msg/CameraInfo"

@@ -17,7 +17,6 @@ from mcap.writer import CompressionType, Writer
 from rosbags.typesys import Stores, get_typestore
 
 sys.path.append(str(Path(__file__).resolve().parents[1]))
-sys.path.append(str(Path(__file__).resolve().parents[2] / "tests"))
 from rows import bound, write
 
 IMAGE, TEXT = "sensor_msgs/msg/Image", "std_msgs/msg/String"

@@ -26,7 +26,6 @@ from harris_perception.core.evaluation.boundary_evaluation import Finder, counts
 from icu_common.adapters.memory import keep_large_blocks
 
 sys.path.append(str(Path(__file__).resolve().parents[1]))
-sys.path.append(str(Path(__file__).resolve().parents[2] / "tests"))
 from perception.bench_harris import SIZES, picture
 from rows import Row, bound, data_folder, interleaved_ms, row, write
 

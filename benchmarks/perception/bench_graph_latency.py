@@ -35,7 +35,6 @@ from icu_common.nodes.messages.heads import header, stamp_ns
 from icu_common.nodes.runtime import prepare_transport, run
 
 sys.path.append(str(Path(__file__).resolve().parents[1]))
-sys.path.append(str(Path(__file__).resolve().parents[2] / "tests"))
 from perception.bench_harris import picture
 from rows import Row, bound, row, write
 

@@ -27,7 +27,6 @@ from scope_bench.core.configuration import BenchConfig, CameraConfig
 from scope_bench.core.renderer import base_from_panel
 
 sys.path.append(str(Path(__file__).resolve().parents[1]))
-sys.path.append(str(Path(__file__).resolve().parents[2] / "tests"))
 from perception.simulated_robot import LAYOUT, Robot, Studio
 from rows import Row, bound, row, write
 

@@ -24,7 +24,6 @@ from harris_perception.core.image.deriche import filtered, recursive_filter
 from icu_common.adapters.memory import keep_large_blocks
 
 sys.path.append(str(Path(__file__).resolve().parents[1]))
-sys.path.append(str(Path(__file__).resolve().parents[2] / "tests"))
 from rows import Row, bound, data_folder, interleaved_ms, row, write
 
 SIZES = ((640, 480), (1280, 720), (1920, 1080))

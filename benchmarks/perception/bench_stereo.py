@@ -32,7 +32,6 @@ from scope_bench.core.instrument import InstrumentState
 from scope_bench.core.renderer import Moment
 
 sys.path.append(str(Path(__file__).resolve().parents[1]))
-sys.path.append(str(Path(__file__).resolve().parents[2] / "tests"))
 from perception.simulated_robot import LAYOUT, OUT_OF_SIGHT, Studio
 from perception.stereo_scenes import drawn_scene
 from rows import Row, bound, data_folder, interleaved_ms, row, write

@@ -16,7 +16,6 @@ from pathlib import Path
 import numpy as np
 
 sys.path.append(str(Path(__file__).resolve().parents[1]))
-sys.path.append(str(Path(__file__).resolve().parents[2] / "tests"))
 from rows import Row, row, write
 from watched_graph import median, press, programs, usage, watched
 

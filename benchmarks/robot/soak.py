@@ -20,7 +20,6 @@ from pathlib import Path
 import numpy as np
 
 sys.path.append(str(Path(__file__).resolve().parents[1]))
-sys.path.append(str(Path(__file__).resolve().parents[2] / "tests"))
 from rows import OUT, bound, write
 from watched_graph import median, press, programs, usage, watched
 
