@@ -80,6 +80,8 @@ homing, and does not count as idle."""
 
 QUESTIONS = 6
 """Maximum number of open report requests (three polls of two); beyond it the oldest one, or its report, was lost."""
+SILENT_POLLS = 3
+"""Number of poll intervals without a report after which the next report may answer a request that counts as lost."""
 ANSWER_WITHIN_S = 0.08
 """Seconds after which an open request counts as lost, if requests are rarer than that: a board merges two requests that
 arrive together, and a starting board answers none. Among frequent requests a lost one looks like a slow link."""
@@ -121,6 +123,8 @@ class GrblSession:
         """Work offset that the board has reported since its reset: the stored G54 plus later offsets."""
         self._roomy_reports = 0
         self._asked: deque[float] = deque()
+        self._dropped_at: float | None = None
+        """Time of the first request since the last report that counts as lost."""
         """Times of the report requests without an answer."""
         self.report_asked_at = 0.0
         """Time of the request for the last report: the board wrote the report later than that, however late it came."""
@@ -153,6 +157,7 @@ class GrblSession:
         self._contradictions.clear()
         self.last_report_at, self.unread_report, self.unplaced_reports = None, b"", 0
         self._asked.clear()
+        self._dropped_at = None
         self.wco_mm, self.wco_is_sure = None, False
         self._quiet_until = self._next_poll = now
 
@@ -277,6 +282,10 @@ class GrblSession:
         self.counts.reports += 1
         before, self.last_report_at, self.unread_report = self.last_report_at, now, b""
         self.report_asked_at = self._asked.popleft() if self._asked else now
+        if self._dropped_at is not None and before is not None and now - before > SILENT_POLLS * self.poll_interval_s:
+            # The board was silent: this may be the late answer to a request that counts as lost.
+            self.report_asked_at = self._dropped_at
+        self._dropped_at = None
         if before is None or now - before > self.poll_interval_s + REPORTS_APART_S:
             self._contradictions.answered()
         events: list[Message] = []
@@ -325,6 +334,7 @@ class GrblSession:
         self._contradictions.clear()
         self.last_report_at = now
         self._asked.clear()
+        self._dropped_at = None
         return [WasReset(banner=banner, expected=expected, lost=lost, unsent=unsent)]
 
     def _drop_queue(self) -> tuple[Line, ...]:
@@ -361,13 +371,13 @@ class GrblSession:
         self._resets_unanswered += out.count(SOFT_RESET)
         if self._may_poll() and now >= self._next_poll and now >= self._quiet_until:
             while self._asked and self.poll_interval_s >= ANSWER_WITHIN_S <= now - self._asked[0]:
-                self._asked.popleft()
+                self._drop_request()
             doubted = self.sets_feed_back and bool(self._asked)
             for _ in range(2 if doubted else 1):
                 out += FULL_FEED + STATUS if doubted else STATUS
                 self._asked.append(now)
             while len(self._asked) > QUESTIONS:
-                self._asked.popleft()
+                self._drop_request()
             rare = self.polls_spared and bool(self._queue) and self._wire_bound and not self.paused
             self._next_poll = now + (max(self.poll_interval_s, WIRE_BOUND_POLL_S) if rare else self.poll_interval_s)
         while self._may_send(now):
@@ -378,6 +388,10 @@ class GrblSession:
             out += line.text.encode("ascii") + b"\n"
         self.counts.bytes_sent += len(out)
         return bytes(out)
+
+    def _drop_request(self) -> None:
+        asked_at = self._asked.popleft()
+        self._dropped_at = asked_at if self._dropped_at is None else self._dropped_at
 
     @property
     def _wire_bound(self) -> bool:
