@@ -74,6 +74,7 @@ class Stage:
             If that is not so within READY_S.
         """
         end = time.monotonic() + READY_S
+        self.operator.subscribe_states()
         self.wait(lambda: set(PROGRAMS) <= set(self.pids()), READY_S, "all programs run")
         while True:
             with ThreadPoolExecutor(max_workers=1) as pool:

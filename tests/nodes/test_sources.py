@@ -84,6 +84,24 @@ def test_second_program_is_named_within_a_second_and_forgotten_when_it_leaves(ro
     assert node.watch.names(TOPIC) == ("/first",)
 
 
+def test_latched_value_of_a_program_that_left_is_replaced_before_the_topic_counts_as_sound(ros: Any) -> None:
+    """A foreign calibration must not stay in force once its publisher has gone."""
+    received: list[str] = []
+    at_end: list[str] = []
+    node = ros.plain("watcher")
+    watch = SourceWatch(node, lambda topic, text: None if text else at_end.append(received[-1]))
+    watch.subscribe(String, "calibration/note", lambda message: received.append(message.data), qos.LATCHED)
+    first, second = ros.plain("first"), ros.plain("second")
+    first.create_publisher(String, "calibration/note", qos.LATCHED).publish(String(data="own"))
+    ros.spin_until(lambda: received == ["own"], 10.0)
+    outlet = second.create_publisher(String, "calibration/note", qos.LATCHED)
+    outlet.publish(String(data="foreign"))
+    ros.spin_until(lambda: received[-1] == "foreign" and watch.look("calibration/note"), 10.0)
+    second.destroy_publisher(outlet)
+    ros.spin_until(lambda: at_end, 10.0)
+    assert at_end == ["own"]
+
+
 def test_recorder_and_publishers_of_other_topics_are_no_sources(ros: Any) -> None:
     node = ros.node(Watcher)
     first, recorder = ros.plain("first"), ros.plain("bag_recorder")

@@ -37,11 +37,13 @@ class Operator:
         self.node.create_subscription(
             DiagnosticArray,
             "/gantry/result",
-            lambda m: self.results.append(result_of_message(m)),
+            self._take_result,
             keeping_all(qos.RESULTS),
         )
-        self.states = ros.collect(self.node, String, "/gantry/state", qos.LATCHED)
-        self.driver_states = ros.collect(self.node, String, "/gantry/driver_state", qos.LATCHED)
+        self.states: list[String] = []
+        self.driver_states: list[String] = []
+        self._state_ends: list[Any] = []
+        self.subscribe_states()
         self.told: dict[str, str] = {}
         """What each program last told of itself."""
         self.node.create_subscription(DiagnosticArray, "/diagnostics", self._take_told, keeping_all(qos.RESULTS))
@@ -51,6 +53,17 @@ class Operator:
         self._ended = threading.Event()
         self._heart = threading.Thread(target=self._beat, daemon=True)
         self._heart.start()
+
+    def subscribe_states(self) -> None:
+        """Take the states from their present publishers: a foreign program may have left messages in the queues."""
+        for end in self._state_ends:
+            self.node.destroy_subscription(end)
+        self.states, self.driver_states = [], []
+        taken = {"/gantry/state": self.states, "/gantry/driver_state": self.driver_states}
+        profile = keeping_all(qos.LATCHED)
+        self._state_ends = [
+            self.node.create_subscription(String, topic, states.append, profile) for topic, states in taken.items()
+        ]
 
     def wait_until_ready(self, tail: Callable[[], str]) -> None:
         """Wait until goals are taken; ``tail`` tells what the graph has printed, for whoever reads of a failure."""
@@ -62,6 +75,10 @@ class Operator:
         if self.node.count_publishers("/clock"):
             self.node.set_parameters([Parameter("use_sim_time", value=True)])
             self.ros.spin_until(lambda: self.node.get_clock().now().nanoseconds > 0, 10.0)
+
+    def _take_result(self, message: DiagnosticArray) -> None:
+        with contextlib.suppress(ValueError):  # a foreign program of a test may publish here
+            self.results.append(result_of_message(message))
 
     def _take_told(self, message: DiagnosticArray) -> None:
         for status in message.status:

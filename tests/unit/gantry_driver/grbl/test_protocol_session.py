@@ -457,3 +457,18 @@ def test_a_question_that_was_lost_at_rest_repeats_none_in_motion_and_makes_no_re
         assert session.output(now) == b"?"
         list(session.receive(b"<Run|MPos:0,0,0|FS:0,0>\r\n", now + 0.005))
         assert session.report_asked_at == pytest.approx(now)
+
+
+def test_the_first_report_after_a_silence_counts_as_asked_for_by_the_first_request_that_was_dropped() -> None:
+    """A busy computer delivers a report late, after more requests than the driver keeps."""
+    session = started()
+    session.polling, session.poll_interval_s, session.sets_feed_back = True, 0.05, True
+    session.poll_now()
+    assert session.output(10.0) == b"?"
+    list(session.receive(b"<Run|MPos:0.000,0.000,0.000|FS:500,0>\r\n", 10.01))
+    for step in range(1, 9):
+        assert b"?" in session.output(10.0 + 0.051 * step)
+    list(session.receive(b"<Run|MPos:1.000,0.000,0.000|FS:500,0>\r\n", 10.5))
+    assert session.report_asked_at == pytest.approx(10.051)
+    list(session.receive(b"<Run|MPos:60.000,0.000,0.000|FS:500,0>\r\n", 10.501))
+    assert session.report_asked_at > 10.2, "the next one answers a request that was kept"

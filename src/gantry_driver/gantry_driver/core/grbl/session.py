@@ -37,7 +37,7 @@ from gantry_driver.core.grbl.lines import (
     WasReset,
 )
 from gantry_driver.core.grbl.modes import ASK_MODES
-from gantry_driver.core.grbl.report_requests import ReportRequests
+from gantry_driver.core.grbl.report_requests import SILENT_POLLS, ReportRequests
 
 HOLD = b"!"
 RESUME = b"~"
@@ -256,7 +256,8 @@ class GrblSession:
     def _report(self, report: Report, now: float) -> list[Message]:
         self.counts.reports += 1
         before, self.last_report_at, self.unread_report = self.last_report_at, now, b""
-        self.report_asked_at = self._requests.answered(now)
+        silent = before is not None and now - before > SILENT_POLLS * self.poll_interval_s
+        self.report_asked_at = self._requests.answered(now, silent=silent)
         if before is None or now - before > self.poll_interval_s + REPORTS_APART_S:
             self._contradictions.answered()
         events: list[Message] = []

@@ -11,12 +11,14 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy
 from rclpy.subscription import Subscription
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 from rosgraph_msgs.msg import Clock as ClockMessage
@@ -28,6 +30,8 @@ from icu_common.nodes.qos import SENSOR
 from icu_common.nodes.timers import runs_by_clock_topic
 
 LOOK_AGAIN_S = 0.1
+RENEWED_WITHIN_S = 0.3
+"""Seconds in which a new subscription receives the latched message of the source that is left."""
 PREFIX_BYTES = 12
 """Bytes of an endpoint's identifier that identify its participant (DDS-RTPS 9.3.1)."""
 NO_NAME = "_NODE_NAME_UNKNOWN_"
@@ -39,11 +43,15 @@ Judge = Callable[[str, tuple[str, ...]], str]
 @dataclass(slots=True)
 class _Watched:
     subscription: Subscription
+    create: Callable[[], Subscription]
+    latched: bool
     judge: Judge
     sources: TopicSources
     names: tuple[str, ...] = ()
     text: str = ""
     undecided: bool = False
+    renewed_s: float | None = None
+    """Time at which the subscription was created again after the present conflict."""
     names_of: dict[bytes, str] = field(default_factory=dict)
     """Last known name of each publisher: the graph forgets an ending publisher's name before the publisher itself."""
 
@@ -77,8 +85,12 @@ class SourceWatch:
     ) -> Subscription:
         """Subscribe as ``node.create_subscription`` does, and watch the topic's sources."""
         events = SubscriptionEventCallbacks(matched=lambda _: self.look(topic))
-        made = self._node.create_subscription(message_type, topic, callback, profile, event_callbacks=events, **kwargs)
-        self._watched[topic] = _Watched(made, judge, TopicSources(self._processes.is_alive))
+        create = partial(
+            self._node.create_subscription, message_type, topic, callback, profile, event_callbacks=events, **kwargs
+        )
+        latched = profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
+        made = create()
+        self._watched[topic] = _Watched(made, create, latched, judge, TopicSources(self._processes.is_alive))
         self.look(topic)
         return made
 
@@ -93,7 +105,11 @@ class SourceWatch:
         return self._watched[topic].names
 
     def look(self, topic: str) -> str:
-        """Query the graph for a topic's sources, and return their fault."""
+        """Query the graph for a topic's sources, and return their fault.
+
+        The fault of a latched topic ends only after the node has received the remaining source's message again. Until
+        then the last message may be that of the program that left.
+        """
         watched = self._watched.get(topic)
         if watched is None:  # an event before create_subscription has returned
             return ""
@@ -101,6 +117,10 @@ class SourceWatch:
         watched.names, watched.undecided = found.names, found.undecided
         # A successor whose name is not known yet must not count as a second program.
         text = watched.text if found.unnamed else watched.judge(watched.subscription.topic_name, found.names)
+        if text:
+            watched.renewed_s = None
+        elif watched.text and watched.latched and not self._is_renewed(watched):
+            text = watched.text
         if text != watched.text:
             watched.text = text
             self._on_change(topic, text)
@@ -108,10 +128,18 @@ class SourceWatch:
             self._timer.reset()
         return text
 
+    @staticmethod
+    def _is_renewed(watched: _Watched) -> bool:
+        return watched.renewed_s is not None and time.monotonic() - watched.renewed_s > RENEWED_WITHIN_S
+
     def _look_again(self) -> None:
         open_ones = [topic for topic, watched in self._watched.items() if watched.undecided or watched.text]
         for topic in open_ones:
-            self.look(topic)
+            watched = self._watched[topic]
+            if self.look(topic) and watched.latched and watched.renewed_s is None and len(watched.names) < 2:
+                # Not in the callback of the subscription's own event.
+                self._node.destroy_subscription(watched.subscription)
+                watched.subscription, watched.renewed_s = watched.create(), time.monotonic()
         if not open_ones:
             self._timer.cancel()
 
