@@ -34,10 +34,11 @@ check: ## lint, formatting, types and import contracts
 
 bench: ## measure every speed claim against a peer; results in benchmarks/out/
 	@scripts/setup.sh dev
-	@for file in $(filter-out benchmarks/bench_effects.py,$(wildcard benchmarks/bench_*.py)); do echo "== $$file"; $(VENV)/python $$file || exit 1; done
+	@for file in $(filter-out benchmarks/bench_effects.py,$(wildcard benchmarks/bench_*.py benchmarks/*/bench_*.py)); do \
+		echo "== $$file"; $(VENV)/python $$file || exit 1; done
 
 # Without the tests of the mock board and the controller, which the guard does not run.
-COVER_TESTS := tests/unit/gantry_driver --ignore-glob '*/test_mock_*' --ignore-glob '*/test_controller*' --ignore-glob '*/test_se*'
+COVER_TESTS := tests/unit/gantry_driver $(addprefix --ignore=tests/unit/gantry_driver/,mock goals motion sight contact)
 cover: ## branch coverage of the guard by its tests without ROS: fails below 100 %
 	@scripts/setup.sh dev
 	@mkdir -p artifacts/coverage && $(VENV)/coverage erase
@@ -78,7 +79,7 @@ noise: ## presses on the whole graph for NOISE_MINUTES=10 while one byte in 500 
 SOAK_MINUTES ?= 30
 soak: ## the whole graph at full rate for SOAK_MINUTES=30: memory, files, threads and delay must stay flat
 	@scripts/setup.sh dev
-	@$(VENV)/python benchmarks/soak.py --minutes $(SOAK_MINUTES)
+	@$(VENV)/python benchmarks/robot/soak.py --minutes $(SOAK_MINUTES)
 
 EFFECTS_PRESSES ?= 50
 EFFECTS_ROOM ?= ideal

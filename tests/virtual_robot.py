@@ -20,15 +20,15 @@ import cv2
 import numpy as np
 from parameter_files import CONFIG, parameters
 
-from gantry_driver.core.goals import controller_messages as msg
+from gantry_driver.core.configuration.machine_config import DriverConfig
 from gantry_driver.core.goals.controller import Controller
-from gantry_driver.core.goals.controller_config import ControllerConfig
-from gantry_driver.core.goals.goal_job import LOOKING, UP, Phase
 from gantry_driver.core.grbl.trajectory_gcode import Waypoint
+from gantry_driver.core.job import controller_messages as msg
+from gantry_driver.core.job.controller_config import ControllerConfig
+from gantry_driver.core.job.goal_job import LOOKING, UP, Phase
 from gantry_driver.core.machine.machine import Machine
-from gantry_driver.core.machine.machine_config import DriverConfig
-from gantry_driver.core.machine.machine_states import Answered, Position, StateChanged
 from gantry_driver.core.motion.scene import PanelMap
+from gantry_driver.core.states.machine_states import Answered, Position, StateChanged
 from gantry_driver.mock.machine import Machine as MockMachine
 from gantry_driver.mock.settings import make_eeprom
 from harris_perception.core.alignment.layout_config import LayoutConfig

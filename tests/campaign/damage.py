@@ -26,7 +26,7 @@ from campaign.damage_rig import DIRECTIONS, DamageRig
 from campaign.other_damage import OtherDamage
 from campaign.run import seeds
 
-from gantry_driver.core.machine.machine_config import DriverConfig
+from gantry_driver.core.configuration.machine_config import DriverConfig
 from gantry_driver.mock.serial_line import Damage
 
 CONFIG = DriverConfig(enabled_at_start=True)

@@ -11,10 +11,10 @@ from typing import Any
 from campaign.truth import TracedMachine, Vertex
 from campaign.virtual_link import VirtualRig
 
-from gantry_driver.core.grbl.connection import TICK_S
+from gantry_driver.core.configuration.machine_config import DriverConfig
 from gantry_driver.core.grbl.trajectory_gcode import Waypoint
-from gantry_driver.core.machine.machine_config import DriverConfig
-from gantry_driver.core.machine.machine_states import Note, Position, StateChanged
+from gantry_driver.core.machine.board_state import TICK_S
+from gantry_driver.core.states.machine_states import Note, Position, StateChanged
 from gantry_driver.mock.serial_line import Damage
 from icu_common.core.geometry.frames import JOINTS
 from icu_common.core.goals.results import Outcome

@@ -19,8 +19,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
+from gantry_driver.core.configuration.machine_config import DriverConfig, StylusConfig
 from gantry_driver.core.machine.machine import Machine
-from gantry_driver.core.machine.machine_config import DriverConfig, StylusConfig
 from icu_common.core.goals.results import GoalResult
 
 HOMED = (-359.0, -219.0, -1.0)

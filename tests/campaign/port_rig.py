@@ -9,8 +9,8 @@ from typing import Any
 
 from nodes.grbl_board import GrblBoard, LinkRig
 
+from gantry_driver.core.configuration.machine_config import DriverConfig
 from gantry_driver.core.machine.machine import Machine
-from gantry_driver.core.machine.machine_config import DriverConfig
 from icu_common.core.goals.results import GoalResult
 
 SCALE = 3.0

@@ -11,9 +11,9 @@ from campaign.port_rig import PortRig
 from campaign.run import main
 from campaign.virtual_link import VirtualRig
 
+from gantry_driver.core.configuration.machine_config import DriverConfig, MachineConfig
 from gantry_driver.core.grbl.grbl_messages import Report
 from gantry_driver.core.machine.machine import Machine
-from gantry_driver.core.machine.machine_config import DriverConfig, MachineConfig
 from icu_common.core.goals.results import Outcome
 
 SHORT = 6 * len(FAULTS)

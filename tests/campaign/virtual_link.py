@@ -12,11 +12,11 @@ import random
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from gantry_driver.core.envelope.config import EnvelopeConfig
+from gantry_driver.core.configuration.envelope_config import EnvelopeConfig
+from gantry_driver.core.configuration.machine_config import DriverConfig
 from gantry_driver.core.grbl.trajectory_gcode import Waypoint
 from gantry_driver.core.machine.machine import Machine
-from gantry_driver.core.machine.machine_config import DriverConfig
-from gantry_driver.core.machine.machine_states import Answered, CloseRequested, Note, StateChanged
+from gantry_driver.core.states.machine_states import Answered, CloseRequested, Note, StateChanged
 from gantry_driver.mock.firmware.options import BoardOptions
 from gantry_driver.mock.machine import Machine as MockMachine
 from gantry_driver.mock.settings import make_eeprom

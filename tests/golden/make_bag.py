@@ -25,9 +25,9 @@ from std_msgs.msg import Header, String
 from trajectory_msgs.msg import JointTrajectory
 from virtual_robot import VirtualRobot
 
-from gantry_driver.core.goals import controller_messages as msg
-from gantry_driver.core.goals.controller_config import ControllerConfig
-from gantry_driver.core.goals.goal_job import LOOKING
+from gantry_driver.core.job import controller_messages as msg
+from gantry_driver.core.job.controller_config import ControllerConfig
+from gantry_driver.core.job.goal_job import LOOKING
 from harris_perception.core.hand_eye.hand_eye import HandEyeConfig, Sample, calibrate
 from harris_perception.core.hand_eye_procedure.still_watch import StillConfig, StillWatch
 from harris_perception.core.stylus.stylus import StylusConfig, StylusTracker
@@ -41,7 +41,9 @@ from icu_common.nodes.messages.heads import header
 from icu_common.nodes.messages.joints import joint_message, trajectory_message
 from icu_common.nodes.messages.places import point_message
 from icu_common.nodes.messages.results import result_message
-from scope_bench.adapters.bag.bags import BagReader, BagTopic, BagWriter
+from scope_bench.adapters.bag.bag_reader import BagReader
+from scope_bench.adapters.bag.bag_writer import BagWriter
+from scope_bench.adapters.bag.bags import BagTopic
 from scope_bench.imaging.timing import Shot
 from scope_bench.nodes.bag_qos import recorded_qos
 

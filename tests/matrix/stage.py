@@ -21,7 +21,7 @@ from std_msgs.msg import String
 from system.conftest import RunningGraph
 from system.terminal_operator import Operator
 
-from gantry_driver.core.machine.machine_config import DriverConfig
+from gantry_driver.core.configuration.machine_config import DriverConfig
 from icu_common.core.admission.heartbeats import PROGRAMS as HEARTBEAT_PROGRAMS
 from icu_common.nodes import qos
 

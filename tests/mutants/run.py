@@ -27,10 +27,12 @@ ROOT = Path(__file__).parents[2]
 CORE = ROOT / "src/gantry_driver/gantry_driver/core"
 TESTS = ROOT / "tests/unit/gantry_driver"
 ROOMS = {
-    "guard": ["test_guard_parts.py", "guard"],
-    "envelope": ["envelope"],
+    "guard": ["guard"],
+    "envelope": ["envelope", "configuration"],
 }
 """Folder of ``core`` -> the tests that must detect each change of it."""
+SOURCES = {"guard": ["guard/*.py"], "envelope": ["envelope/*.py", "configuration/envelope_config.py"]}
+"""The same folder -> the modules that are changed."""
 REASONS = ROOT / "docs/decisions/guard-mutants.md"
 TEST_S, MUTANT_S = 20, 120.0
 """Maximum seconds of one test, and of all tests of a mutant."""
@@ -48,7 +50,7 @@ class Change:
 
     @property
     def name(self) -> str:
-        return f"{self.room}/{self.path.name} {self.mutant.name}"
+        return f"{self.path.relative_to(CORE).as_posix()} {self.mutant.name}"
 
 
 @dataclass
@@ -150,7 +152,7 @@ def _imported(change: Change) -> str:
 def changes(wanted: Callable[[str], bool]) -> Iterator[Change]:
     """Yield the mutants of all rooms whose names are wanted."""
     for room in ROOMS:
-        for path in sorted((CORE / room).glob("*.py")):
+        for path in (path for pattern in SOURCES[room] for path in sorted(CORE.glob(pattern))):
             for mutant in mutants(path.read_text(), str(path)):
                 if wanted((change := Change(mutant, path, room)).name):
                     yield change

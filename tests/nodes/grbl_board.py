@@ -15,11 +15,11 @@ from typing import Any
 from line_socket import BoardSocket
 
 from gantry_driver.adapters.serial_link import SerialLink
-from gantry_driver.core.envelope.config import EnvelopeConfig
+from gantry_driver.core.configuration.envelope_config import EnvelopeConfig
+from gantry_driver.core.configuration.machine_config import DriverConfig
 from gantry_driver.core.grbl.trajectory_gcode import Waypoint
 from gantry_driver.core.machine.machine import Machine
-from gantry_driver.core.machine.machine_config import DriverConfig
-from gantry_driver.core.machine.machine_states import Answered, CloseRequested, Event, Note, Position, StateChanged
+from gantry_driver.core.states.machine_states import Answered, CloseRequested, Event, Note, Position, StateChanged
 from icu_common.core.geometry.frames import JOINTS
 from icu_common.core.goals.results import GoalResult
 

@@ -26,8 +26,10 @@ from visualization_msgs.msg import Marker
 
 from icu_common.nodes import qos
 from icu_common.nodes.messages.cameras import image_message
+from scope_bench.adapters.bag.bag_reader import BagReader
 from scope_bench.adapters.bag.bag_sink import BagSink
-from scope_bench.adapters.bag.bags import BagReader, BagTopic, BagWriter
+from scope_bench.adapters.bag.bag_writer import BagWriter
+from scope_bench.adapters.bag.bags import BagTopic
 from scope_bench.cli.bag_record import catch_up
 from scope_bench.core.bag.account import INCOMPLETE, Account
 from scope_bench.nodes.bag_recorder import BagRecorder

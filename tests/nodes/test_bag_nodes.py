@@ -38,8 +38,10 @@ from icu_common.nodes import qos
 from icu_common.nodes.messages.cameras import image_array, image_message
 from icu_common.nodes.messages.heads import header
 from scope_bench.adapters.bag.bag_pictures import PictureCodec
+from scope_bench.adapters.bag.bag_reader import BagReader
 from scope_bench.adapters.bag.bag_sink import BagSink
-from scope_bench.adapters.bag.bags import BagError, BagReader, BagTopic, BagWriter
+from scope_bench.adapters.bag.bag_writer import BagWriter
+from scope_bench.adapters.bag.bags import BagError, BagTopic
 from scope_bench.cli.bag_record import catch_up
 from scope_bench.core.bag.account import INCOMPLETE
 from scope_bench.nodes.bag_player import BagPlayer

@@ -22,8 +22,8 @@ from icu_common.adapters.frame_link import FrameClient
 from icu_common.core.configuration.config import ConfigError, from_mapping
 from icu_common.core.panel.panel_layout import load_layout
 from icu_common.nodes.qos import RESULTS
-from scope_bench.adapters.motion_client import MotionClient, parse_sample
-from scope_bench.adapters.simulation import Simulation
+from scope_bench.adapters.bench.motion_client import MotionClient, parse_sample
+from scope_bench.adapters.bench.simulation import Simulation
 from scope_bench.core.configuration import BenchConfig
 from scope_bench.core.optics import stereo_rig
 from scope_bench.nodes.bench_node import BenchNode

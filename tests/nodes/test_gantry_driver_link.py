@@ -18,8 +18,8 @@ import serial
 from nodes.grbl_board import PATIENT, AwakeClock, GrblBoard, LinkRig
 
 from gantry_driver.adapters import serial_link
+from gantry_driver.core.configuration.machine_config import DriverConfig
 from gantry_driver.core.machine.machine import Machine
-from gantry_driver.core.machine.machine_config import DriverConfig
 
 HOMED = (-359.0, -219.0, -1.0)
 Start = Callable[..., tuple[GrblBoard, LinkRig]]

@@ -14,11 +14,11 @@ from nodes.grbl_board import GrblBoard
 from nodes.guard_rig import HOMED, guards_of
 
 from gantry_driver.adapters.guard.client import GuardLink
-from gantry_driver.core.envelope.config import EnvelopeConfig
+from gantry_driver.core.configuration.envelope_config import EnvelopeConfig
+from gantry_driver.core.configuration.machine_config import DriverConfig
 from gantry_driver.core.grbl.trajectory_gcode import Waypoint
 from gantry_driver.core.guard.messages import frame
-from gantry_driver.core.machine.machine_config import DriverConfig
-from gantry_driver.core.machine.machine_states import Answered, Event, StateChanged
+from gantry_driver.core.states.machine_states import Answered, Event, StateChanged
 from icu_common.adapters.direct_stop.line import guard_folder, received_stop, send_stop
 from icu_common.core.geometry.frames import JOINTS
 

@@ -15,8 +15,8 @@ from nodes.test_gantry_driver_node import IN_PROCESS, NO_PANEL, PATIENCE, Operat
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from gantry_driver.core.goals.controller_config import ControllerConfig
-from gantry_driver.core.machine.machine_config import DriverConfig
+from gantry_driver.core.configuration.machine_config import DriverConfig
+from gantry_driver.core.job.controller_config import ControllerConfig
 from gantry_driver.nodes.serial_driver_node import SerialDriverNode
 from icu_common.core.configuration.config import Config, ConfigItem, settings_of, to_mapping
 

@@ -358,7 +358,7 @@ def test_the_benchmarks_peer_is_this_node_with_the_corners_of_opencv(ros: Any, m
     monkeypatch.syspath_prepend(str(Path(__file__).parents[2] / "benchmarks"))
     threads = cv2.getNumThreads()
     monkeypatch.setattr(cv2, "setNumThreads", lambda count: None)
-    rig = Rig(ros, made_by=importlib.import_module("bench_graph_latency").PeerNode)
+    rig = Rig(ros, made_by=importlib.import_module("perception.bench_graph_latency").PeerNode)
     noisy = np.random.default_rng(3).integers(0, 255, (60, 80)).astype(np.uint8)
     found = rig.corners_of(image_message(noisy, "mono8", header(1, "c")))
     expected = cv2.goodFeaturesToTrack(noisy, 2000, 0.01, 0, blockSize=3, useHarrisDetector=True, k=0.04)

@@ -22,7 +22,7 @@ from system.conftest import ROOT, RunningGraph, executable, wait_for
 from system.operator_browser import Operator
 
 from icu_common.core.panel.panel_layout import load_layout
-from scope_bench.adapters.bag.bags import BagReader
+from scope_bench.adapters.bag.bag_reader import BagReader
 
 SHOTS = ROOT / "artifacts" / "story"
 pytestmark = [pytest.mark.browser, pytest.mark.system, pytest.mark.alone, pytest.mark.story, pytest.mark.timeout(900)]

@@ -19,7 +19,7 @@ from golden.expectation import BAG_CHECK, ROOT
 from rosbags.rosbag1 import Writer
 from rosbags.typesys import Stores, get_typestore
 
-from scope_bench.adapters.bag.bags import BagReader
+from scope_bench.adapters.bag.bag_reader import BagReader
 from scope_bench.core.check.expectation import from_yaml
 
 IMAGE, INFO = "sensor_msgs/msg/Image", "sensor_msgs/msg/CameraInfo"

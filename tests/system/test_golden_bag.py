@@ -18,7 +18,7 @@ import pytest
 from golden.expectation import BAG, BAG_CHECK, EXPECTED, ROOT, bag_check
 from golden.make_bag import CONTROLLER, TIPS, TRACKER
 
-from scope_bench.adapters.bag.bags import BagReader
+from scope_bench.adapters.bag.bag_reader import BagReader
 from scope_bench.adapters.check.messages import read_messages
 from scope_bench.adapters.check.prepared_bag import played_topics
 from scope_bench.adapters.check.replay import Replay, free_domain

@@ -9,10 +9,10 @@ from dataclasses import replace
 import numpy as np
 from pinhole import pinhole
 
-from gantry_driver.core.goals import controller_messages as msg
 from gantry_driver.core.goals.controller import Controller
-from gantry_driver.core.goals.controller_config import ControllerConfig
-from gantry_driver.core.goals.goal_job import Phase
+from gantry_driver.core.job import controller_messages as msg
+from gantry_driver.core.job.controller_config import ControllerConfig
+from gantry_driver.core.job.goal_job import Phase
 from gantry_driver.core.motion.scene import PanelControl, PanelMap
 from icu_common.core.geometry.geometry import Array, Transform
 from icu_common.core.goals.results import GoalResult, Outcome
@@ -70,6 +70,8 @@ PANEL = PanelMap(
 
 
 KNOB, BUTTON = np.array([0.211, 0.092, 0.015]), np.array([0.208, 0.127, 0.003])
+BUTTON_Z = float(BASE_FROM_PANEL.apply([0.208, 0.127, 0.003])[2]) + 0.002
+"""Height over base_link, in metres, below which the tip presses RUN_STOP."""
 """The centres of the tops of CH1_SCALE and RUN_STOP in panel_link."""
 BALL_M, ROUNDING_M = 0.002, 1e-6
 """Radius of the stylus ball; it touches a surface from which its centre is as far, apart from rounding."""
@@ -336,3 +338,7 @@ class RidingBench(Bench):
 
 def config(**changes: object) -> ControllerConfig:
     return replace(ControllerConfig(), **changes)  # type: ignore[arg-type]
+
+
+def details(result: GoalResult) -> dict[str, str]:
+    return dict(result.details)

@@ -10,8 +10,8 @@ from collections.abc import Callable, Sequence
 from campaign.faults import CONFIG, HOMED
 from campaign.virtual_link import VirtualRig
 
-from gantry_driver.core.machine.machine_config import DriverConfig
-from gantry_driver.core.machine.machine_states import Position
+from gantry_driver.core.configuration.machine_config import DriverConfig
+from gantry_driver.core.states.machine_states import Position
 from icu_common.core.goals.results import GoalResult
 
 Place = tuple[float, float, float]

@@ -11,11 +11,11 @@ import re
 from collections.abc import Callable
 from typing import Any
 
-from gantry_driver.core.envelope.config import EnvelopeConfig
+from gantry_driver.core.configuration.envelope_config import EnvelopeConfig
+from gantry_driver.core.configuration.machine_config import DriverConfig
 from gantry_driver.core.grbl.trajectory_gcode import Waypoint
 from gantry_driver.core.machine.machine import Machine
-from gantry_driver.core.machine.machine_config import DriverConfig
-from gantry_driver.core.machine.machine_states import Answered, Event, Position, StateChanged
+from gantry_driver.core.states.machine_states import Answered, Event, Position, StateChanged
 from icu_common.core.goals.results import GoalResult
 
 HOMED = (-359.0, -219.0, -1.0)

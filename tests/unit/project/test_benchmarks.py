@@ -17,7 +17,8 @@ from typing import Any
 import pytest
 
 FOLDER = Path(__file__).parents[3] / "benchmarks"
-NAMES = sorted(path.stem for path in (*FOLDER.glob("bench_*.py"), FOLDER / "soak.py"))
+FILES = (*FOLDER.rglob("bench_*.py"), FOLDER / "robot/soak.py")
+NAMES = sorted(".".join(path.relative_to(FOLDER).with_suffix("").parts) for path in FILES)
 SMALL = ((160, 120),)
 
 
@@ -42,9 +43,9 @@ def test_it_is_imported_and_tells_its_options(
 @pytest.mark.parametrize(
     ("name", "arguments", "results"),
     [
-        ("bench_edges", [], "edges"),
-        ("bench_harris", ["--default-malloc"], "harris_default_malloc"),
-        ("bench_stereo", [], "stereo"),
+        ("perception.bench_edges", [], "edges"),
+        ("perception.bench_harris", ["--default-malloc"], "harris_default_malloc"),
+        ("perception.bench_stereo", [], "stereo"),
     ],
 )
 def test_it_measures(
@@ -64,7 +65,8 @@ def test_it_measures(
 
 def test_the_latencys_processes_find_each_other(tmp_path: Path) -> None:
     """Node and peer are started with options of their own; all of them are the benchmark's file again."""
-    code = "import sys, pathlib, rows, bench_graph_latency as b; rows.OUT = pathlib.Path(sys.argv.pop()); b.main()"
+    imports = "import sys, pathlib, rows, perception.bench_graph_latency as latency"
+    code = f"{imports}; rows.OUT = pathlib.Path(sys.argv.pop()); latency.main()"
     path = os.pathsep.join([str(FOLDER), *(p for p in sys.path if p)])
     done = subprocess.run(
         [sys.executable, "-c", code, "--seconds", "1", str(tmp_path)],

@@ -353,11 +353,12 @@ def test_ros2_launch_refuses_a_second_graph_and_a_namespace_that_is_none(
     assert start(given | {"package": "gantry_driver"}) and start(given | {"namespace": "bed_2"})
 
 
-@pytest.mark.parametrize("path", sorted((ROOT / "benchmarks").glob("*.py")), ids=lambda p: p.stem)
+@pytest.mark.parametrize("path", sorted((ROOT / "benchmarks").rglob("*.py")), ids=lambda p: p.stem)
 def test_benchmarks_find_what_they_import_of_the_project(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Tests do not run them, and some imports wait inside functions."""
-    own = {p.stem for p in [*path.parent.glob("*.py"), *(ROOT / "tests").iterdir()]} | {p.name for p in PACKAGES}
-    monkeypatch.syspath_prepend(str(path.parent))
+    folders = ROOT / "benchmarks", ROOT / "tests"
+    own = {p.stem for folder in folders for p in folder.iterdir()} | {p.name for p in PACKAGES}
+    monkeypatch.syspath_prepend(str(ROOT / "benchmarks"))
     for node in ast.walk(ast.parse(path.read_text())):
         if isinstance(node, ast.ImportFrom) and (node.module or "").partition(".")[0] in own:
             module = importlib.import_module(str(node.module))
@@ -398,13 +399,12 @@ def test_documents_name_modules_that_are_there(path: Path) -> None:
         assert pkgutil.resolve_name(name), name
 
 
-CORE = ROOT / "src" / "harris_perception" / "harris_perception" / "core"
+CORES = [ROOT / "src" / name / name / "core" for name in ("harris_perception", "gantry_driver")]
+ROOMS = [room for core in CORES for room in (core, *sorted(path.parent for path in core.glob("*/__init__.py")))]
 
 
-@pytest.mark.parametrize(
-    "room", [CORE, *sorted(path.parent for path in CORE.glob("*/__init__.py"))], ids=lambda p: p.name
-)
-def test_each_room_of_perception_names_what_it_holds_in_its_map(room: Path) -> None:
+@pytest.mark.parametrize("room", ROOMS, ids=lambda p: "/".join(p.parts[-3:]))
+def test_each_room_names_what_it_holds_in_its_map(room: Path) -> None:
     named = re.findall(r"``(\w+)``", ast.get_docstring(ast.parse((room / "__init__.py").read_text())) or "")
     held = [path.stem for path in room.glob("*.py") if path.stem != "__init__"]
     held += [path.parent.name for path in room.glob("*/__init__.py")]

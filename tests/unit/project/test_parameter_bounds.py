@@ -13,10 +13,10 @@ from typing import Any
 
 import pytest
 
+from gantry_driver.core.configuration.envelope_config import EnvelopeConfig
+from gantry_driver.core.configuration.machine_config import DriverConfig
 from gantry_driver.core.contact.config import ContactConfig, HeightConfig
-from gantry_driver.core.envelope.config import EnvelopeConfig
-from gantry_driver.core.goals.controller_config import ControllerConfig
-from gantry_driver.core.machine.machine_config import DriverConfig
+from gantry_driver.core.job.controller_config import ControllerConfig
 from icu_common.core.configuration.config import Config, ConfigError, ConfigItem, from_mapping, settings_of
 from scope_ui_bridge.core.config import BridgeConfig
 

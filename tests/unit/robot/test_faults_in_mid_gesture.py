@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from virtual_robot import VirtualRobot
 
-from gantry_driver.core.goals.goal_job import Phase
+from gantry_driver.core.job.goal_job import Phase
 from icu_common.core.goals.results import GoalResult, Outcome
 
 LIFTED_M = -0.0006

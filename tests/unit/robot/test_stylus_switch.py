@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 from virtual_robot import VirtualRobot
 
-from gantry_driver.core.goals.controller_messages import Joints
-from gantry_driver.core.machine.machine_states import Position
+from gantry_driver.core.job.controller_messages import Joints
+from gantry_driver.core.states.machine_states import Position
 from icu_common.core.goals.results import Outcome
 
 SWITCH = {"stylus.switch.enabled": True, "stylus.switch.threshold_mm": 0.3, "stylus.switch.hysteresis_mm": 0.1}

@@ -16,7 +16,8 @@ from mcap.writer import CompressionType, IndexType, Writer
 from rosbags.rosbag1 import Writer as Ros1Writer
 from rosbags.typesys import Stores, get_typestore
 
-from scope_bench.adapters.bag.bags import BagError, BagReader
+from scope_bench.adapters.bag.bag_reader import BagReader
+from scope_bench.adapters.bag.bags import BagError
 from scope_bench.cli import bag_export, bag_info, bag_play
 from scope_bench.nodes.bag_types import type_problem
 

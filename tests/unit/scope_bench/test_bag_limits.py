@@ -11,8 +11,10 @@ import yaml
 from foreign_bags import STRING, text
 from mcap.reader import make_reader
 
+from scope_bench.adapters.bag.bag_reader import BagReader
 from scope_bench.adapters.bag.bag_sink import BagSink
-from scope_bench.adapters.bag.bags import BagError, BagReader, BagTopic, BagWriter
+from scope_bench.adapters.bag.bag_writer import BagWriter
+from scope_bench.adapters.bag.bags import BagError, BagTopic
 from scope_bench.core.bag.image_gate import ImageGate, other_side
 
 LEFT, RIGHT = "/stereo/left/image_raw", "/stereo/right/image_raw"

@@ -34,9 +34,11 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, W
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from scope_bench.adapters.bag.bag_pictures import COMPRESSED, IMAGE, SUFFIX, PictureCodec
+from scope_bench.adapters.bag.bag_reader import BagReader
 from scope_bench.adapters.bag.bag_repair import repair
 from scope_bench.adapters.bag.bag_sink import BagSink
-from scope_bench.adapters.bag.bags import BagError, BagReader, BagTopic, BagWriter
+from scope_bench.adapters.bag.bag_writer import BagWriter
+from scope_bench.adapters.bag.bags import BagError, BagTopic
 from scope_bench.cli import bag_info
 from scope_bench.core.bag.mcap_records import MAGIC, whole_messages
 from scope_bench.core.bag.play_clock import PlayClock, progress_bar
@@ -692,7 +694,7 @@ def test_a_nearly_full_disk_ends_the_recording_with_a_whole_bag(
 ) -> None:
     free = [1 << 30]
     monkeypatch.setattr(
-        "scope_bench.adapters.bag.bags.shutil.disk_usage", lambda place: type("Usage", (), {"free": free[0]})
+        "scope_bench.adapters.bag.bag_writer.shutil.disk_usage", lambda place: type("Usage", (), {"free": free[0]})
     )
     sink = BagSink(lambda: BagWriter(tmp_path / "bag", "mcap", keep_free=100_000_000))
     sink.add_topic(BagTopic(name="/a", type=STRING))
@@ -708,7 +710,8 @@ def test_a_nearly_full_disk_ends_the_recording_with_a_whole_bag(
 FULL = """
 import resource, signal, sys
 from pathlib import Path
-from scope_bench.adapters.bag.bags import BagError, BagTopic, BagWriter
+from scope_bench.adapters.bag.bag_writer import BagWriter
+from scope_bench.adapters.bag.bags import BagError, BagTopic
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 resource.setrlimit(resource.RLIMIT_FSIZE, (3_000_000, 3_000_000))
 bag = BagWriter(Path(sys.argv[1]), sys.argv[2], keep_free=0)
@@ -775,7 +778,7 @@ def test_a_checkpoint_is_due_a_second_after_the_first_message_that_it_saves(
 ) -> None:
     """Not after the last checkpoint, nor after the last message: neither of a slow trickle is then older."""
     now = [100.0]
-    monkeypatch.setattr("scope_bench.adapters.bag.bags.time", SimpleNamespace(monotonic=lambda: now[0]))
+    monkeypatch.setattr("scope_bench.adapters.bag.bag_writer.time", SimpleNamespace(monotonic=lambda: now[0]))
     with BagWriter(tmp_path / "bag", keep_free=0) as bag:
         due = [bag.due_s]
         for now[0] in (103.0, 103.9, 104.0, 105.5):

@@ -9,7 +9,8 @@ import yaml
 from foreign_bags import FORMS, STRING, STRING_HASH, bag, text
 from rosbags.interfaces import QosDurability, QosReliability
 
-from scope_bench.adapters.bag.bags import BagReader, BagTopic
+from scope_bench.adapters.bag.bag_reader import BagReader
+from scope_bench.adapters.bag.bags import BagTopic
 from scope_bench.cli.bag_info import description
 from scope_bench.core.bag.account import Account
 from scope_bench.core.bag.sequence_gaps import SequenceGaps

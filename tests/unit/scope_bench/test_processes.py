@@ -14,7 +14,7 @@ from types import SimpleNamespace
 import pytest
 from deadlines import wait_until
 
-from scope_bench.adapters import processes
+from scope_bench.adapters import processes, watched_program
 from scope_bench.adapters.processes import ProcessGroup
 
 PYTHON = [sys.executable, "-u", "-S", "-c"]
@@ -262,7 +262,7 @@ def test_a_program_that_hangs_and_cannot_be_aborted_is_killed(clock: Clock) -> N
 def test_a_program_that_waits_for_the_processor_is_late_and_hangs_only_after_longer(
     clock: Clock, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(processes, "_waits_for_core", lambda pid: {"7": 0.1 * clock.now, "8": 0.8 * clock.now})
+    monkeypatch.setattr(watched_program, "_waits_for_core", lambda pid: {"7": 0.1 * clock.now, "8": 0.8 * clock.now})
     watch = Watch(silent_s=2.0)
     watch.group.start("a", [*PYTHON, CANNOT_END], tells_ready=True)
     watch.until_ready()
@@ -279,9 +279,9 @@ def test_a_program_that_waits_for_the_processor_is_late_and_hangs_only_after_lon
 
 def test_the_time_that_threads_wait_for_the_processor_is_read() -> None:
     with subprocess.Popen([*PYTHON, "input()"], stdin=subprocess.PIPE) as process:
-        assert str(process.pid) in processes._waits_for_core(process.pid)
+        assert str(process.pid) in watched_program._waits_for_core(process.pid)
         process.kill()
-    assert processes._waits_for_core(process.pid) == {}
+    assert watched_program._waits_for_core(process.pid) == {}
 
 
 def with_a_stopped_program(folder: Path) -> tuple[Watch, int]:

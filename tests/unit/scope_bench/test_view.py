@@ -14,7 +14,8 @@ from scope_bench.core.optics import Camera, Rays, stereo_rig
 from scope_bench.core.renderer import base_from_panel
 from scope_bench.core.solids import ControlState, cast
 from scope_bench.core.stylus_picture import StylusPainter
-from scope_bench.core.view import Surfaces, View
+from scope_bench.core.surfaces import Surfaces
+from scope_bench.core.view import View
 
 CLEAR = LightConfig(unevenness=0.0, vignetting=0.0, glare=0.0, blur_px=0.0, noise=0.0)
 CAMERA = CameraConfig()

@@ -3,7 +3,7 @@
 Each flood runs in a process of its own. The time of a stop is counted without the time in which the thread of the
 client, or that of the server, waited for a processor: on a busy computer that is most of it, and no work of the server.
 Before the server limited its reading, it needed 81 ms (median) and 1.3 s (longest).
-benchmarks/bench_operator_page.py measures the whole time with the real driver.
+benchmarks/page/bench_operator_page.py measures the whole time with the real driver.
 """
 
 from __future__ import annotations

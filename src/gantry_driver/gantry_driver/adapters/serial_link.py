@@ -21,7 +21,7 @@ from gantry_driver.adapters.stylus_record import StylusRecord
 from gantry_driver.adapters.wake_pipe import WakePipe
 from gantry_driver.core.grbl.session import HOLD
 from gantry_driver.core.machine.machine import Machine
-from gantry_driver.core.machine.machine_states import CloseRequested, Event, Note
+from gantry_driver.core.states.machine_states import CloseRequested, Event, Note
 from icu_common.adapters.real_time import steady_s
 
 T = TypeVar("T")

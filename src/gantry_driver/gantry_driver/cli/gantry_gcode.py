@@ -27,16 +27,17 @@ import serial
 
 from gantry_driver.adapters.check_mode import CheckFailed, dry_run
 from gantry_driver.adapters.serial_link import SerialLink
+from gantry_driver.core.configuration.machine_config import DriverConfig
 from gantry_driver.core.goals.progress import duration_text, progress_text
-from gantry_driver.core.grbl.gcode_check import CheckedLine, GcodeError, ProgramChecker
 from gantry_driver.core.grbl.grbl_messages import error_text
-from gantry_driver.core.grbl.session import plain
+from gantry_driver.core.grbl.lines import plain
 from gantry_driver.core.grbl.settings_profile import ProfileError, differences, parse_profile, profile_text
 from gantry_driver.core.grbl.trajectory_gcode import TrajectoryError
 from gantry_driver.core.machine.machine import Machine
-from gantry_driver.core.machine.machine_config import DriverConfig
-from gantry_driver.core.machine.machine_states import Answered, Event, Note, StateChanged
 from gantry_driver.core.machine.streaming import PROGRAM_MODES
+from gantry_driver.core.program.gcode_check import CheckedLine, ProgramChecker
+from gantry_driver.core.program.gcode_words import GcodeError
+from gantry_driver.core.states.machine_states import Answered, Event, Note, StateChanged
 from icu_common.adapters.processes.program_end import end_signals, ends_quietly, help_text
 from icu_common.adapters.terminal_keys import terminal_keys
 from icu_common.core.configuration.config import ConfigError, from_mapping

@@ -29,7 +29,7 @@ from gantry_driver.cli.operator_session import (
     say,
     with_negatives,
 )
-from gantry_driver.core.goals.goal_job import WORKING
+from gantry_driver.core.job.goal_job import WORKING
 from icu_common.adapters.processes.program_end import ends_quietly
 from icu_common.core.geometry.frames import BASE, CAMERA_LEFT, PANEL
 from icu_common.core.goals.results import GoalResult, Outcome

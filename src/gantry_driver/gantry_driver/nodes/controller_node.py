@@ -23,10 +23,10 @@ from std_msgs.msg import Bool, Empty, Float32, Float64MultiArray, Header, String
 from trajectory_msgs.msg import JointTrajectory
 from visualization_msgs.msg import MarkerArray
 
-from gantry_driver.core.attendance.watch import SIGN_S
-from gantry_driver.core.goals import controller_messages as msg
 from gantry_driver.core.goals.controller import Controller
-from gantry_driver.core.goals.controller_config import ControllerConfig
+from gantry_driver.core.job import controller_messages as msg
+from gantry_driver.core.job.controller_config import ControllerConfig
+from gantry_driver.core.machine.attendance import SIGN_S
 from gantry_driver.core.motion.scene import PanelMap
 from gantry_driver.nodes.panel_plane import plane_message
 from icu_common.adapters.processes.processor_load import LoadMeter

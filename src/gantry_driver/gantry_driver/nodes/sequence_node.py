@@ -13,9 +13,9 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticArray
 from std_msgs.msg import Empty, String
 
-from gantry_driver.core.goals.goal_job import WORKING
 from gantry_driver.core.goals.obstacles import AT_AN_END
 from gantry_driver.core.goals.sequence import Action, SendCommand, SequenceConfig, SequenceRun, StopMachine
+from gantry_driver.core.job.goal_job import WORKING
 from icu_common.adapters.real_time import steady_s
 from icu_common.core.configuration.text_bounds import plain
 from icu_common.core.goals.results import GoalResult, Outcome

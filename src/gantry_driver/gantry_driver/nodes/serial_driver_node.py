@@ -30,12 +30,12 @@ from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from gantry_driver.adapters.guard.client import GuardLink
-from gantry_driver.core.attendance.watch import SIGN_S, Attendance, silent_text
+from gantry_driver.core.configuration.machine_config import DriverConfig
 from gantry_driver.core.grbl.trajectory_bytes import max_bytes, read_head, refusal
 from gantry_driver.core.grbl.trajectory_gcode import Waypoint
 from gantry_driver.core.guard.messages import config_values
-from gantry_driver.core.machine.machine_config import DriverConfig
-from gantry_driver.core.machine.machine_states import Answered, Event, Note, Position, StateChanged
+from gantry_driver.core.machine.attendance import SIGN_S, Attendance, silent_text
+from gantry_driver.core.states.machine_states import Answered, Event, Note, Position, StateChanged
 from gantry_driver.nodes.panel_plane import plane_of_message
 from icu_common.adapters.direct_stop.line import stop_path
 from icu_common.adapters.real_time import DRIVER, ask_for_real_time, is_real_time

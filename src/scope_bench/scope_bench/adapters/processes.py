@@ -9,22 +9,16 @@ import signal
 import subprocess
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
-from pathlib import Path
-from typing import TypeAlias
 
 from icu_common.adapters.real_time import DRIVER, ask_for_real_time
-from icu_common.core.processes.supervision import AFTER_CRASH_VARIABLE, DEAF, READY_VARIABLE, SIGN_OF_LIFE_S
-from scope_bench.adapters.fork_server import ForkedProcess, ForkServer, die_with_parent, is_forkable
+from icu_common.core.processes.supervision import AFTER_CRASH_VARIABLE, DEAF, READY_VARIABLE
+from scope_bench.adapters.fork_server import ForkServer, die_with_parent, is_forkable
+from scope_bench.adapters.watched_program import LifeLimits, Process, Watched
 
 _LONGEST_TURN_S = 1.0
 """Maximum silence in seconds counted between two checks: bring-up itself may have been suspended."""
 _LAST_READS = 64
 """Maximum number of reads from the pipe of an ended program; the pipe holds as much as one or two reads."""
-_STARVED_SHARE = 0.5
-"""Minimum share of its silence for which a thread waited for a core; the program is then late and does not hang."""
-_STARVED_FACTOR = 4.0
-"""Factor by which such a program may be silent longer; a program in an endless loop waits for a core as well."""
 _DELAY_S = 0.5
 """Seconds between a program's second end within the window and its restart; doubles with each further end."""
 _ABORT_S = 5.0
@@ -32,65 +26,6 @@ _ABORT_S = 5.0
 
 _LADDER = ((signal.SIGINT, 0.7), (signal.SIGTERM, 0.2), (signal.SIGABRT, 0.05), (signal.SIGKILL, 0.05))
 """Signals at the end, each with its share of the time. SIGABRT lets a node print where it hangs (faulthandler)."""
-
-Process: TypeAlias = subprocess.Popen[bytes] | ForkedProcess
-
-
-@dataclass(slots=True, kw_only=True)
-class Watched:
-    """One program, its process, and the state of its restarts."""
-
-    name: str
-    command: list[str]
-    process: Process | None = None
-    starts: list[float] = field(default_factory=list)
-    restart_at: float | None = None
-    gave_up: bool = False
-    misconfigured: bool = False
-    once: bool = False
-    ends_last: bool = False
-    tells_ready: bool = False
-    rescue: list[str] = field(default_factory=list)
-    """Command to start when a signal has ended the program."""
-    rescues: bool = False
-    """Whether it is such a command."""
-    crashed: bool = False
-    life_pipe: int | None = None
-    ready: bool = False
-    silence_s: float = 0.0
-    stopped_s: float = 0.0
-    waited: dict[str, float] = field(default_factory=dict)
-    """Seconds for which each thread had waited for a core when the silence began to count; empty before."""
-    waited_since_s: float = 0.0
-    reported_late: bool = False
-    aborted_at: float | None = None
-
-    @property
-    def starting(self) -> bool:
-        """Whether the program reports when it is ready and has not done so yet."""
-        return self.life_pipe is not None and not self.ready
-
-
-_SIGNAL, _DEBUGGER = "T", "t"
-_STOPPED_S = 15.0
-"""Maximum seconds for which a signal may stop a program; its last state would stay on its topics as if valid."""
-
-
-def _stopped_by(pid: int) -> str:
-    """Return what has stopped a process, _SIGNAL or _DEBUGGER (proc(5)), "" if it is not stopped."""
-    with contextlib.suppress(OSError):
-        state = Path(f"/proc/{pid}/stat").read_text(errors="replace").rpartition(")")[2].split()[0]
-        return state if state in (_SIGNAL, _DEBUGGER) else ""
-    return ""
-
-
-def _waits_for_core(pid: int) -> dict[str, float]:
-    """Return for how many seconds each thread of a process has waited for a core so far (proc(5), schedstat)."""
-    found = {}
-    for path in Path(f"/proc/{pid}/task").glob("*/schedstat"):
-        with contextlib.suppress(OSError, IndexError, ValueError):
-            found[path.parent.name] = int(path.read_text().split()[1]) / 1e9
-    return found
 
 
 def _begin_rescue() -> None:
@@ -118,7 +53,7 @@ class ProcessGroup:
     silent_s
         Maximum seconds without a sign of life of a program that was ready. It is then aborted, so that it prints where
         it hangs, and killed if that does not end it. Time for which a signal or a debugger has stopped it does not
-        count, but a signal may stop it for only _STOPPED_S.
+        count, but a signal may stop it for a limited time only.
     forks
         Server that starts the programs that report when they are ready; without it they are executed.
     """
@@ -140,8 +75,7 @@ class ProcessGroup:
         self._on_event = on_event
         self._restarts = restarts
         self._window_s = window_s
-        self._ready_s = ready_s
-        self._silent_s = silent_s
+        self._limits = LifeLimits(ready_s=ready_s, silent_s=silent_s)
         self._looked_at = time.monotonic()
         self._programs: list[Watched] = []
         self._selector = selectors.DefaultSelector()
@@ -204,11 +138,7 @@ class ProcessGroup:
         if ready:
             os.close(ready[1])
             os.set_blocking(ready[0], False)
-            watched.life_pipe = ready[0]
-        watched.ready, watched.silence_s, watched.stopped_s, watched.aborted_at = False, 0.0, 0.0, None
-        watched.waited, watched.reported_late = {}, False
-        watched.starts.append(time.monotonic())
-        watched.restart_at = None
+        watched.launched(ready[0] if ready else None, time.monotonic())
         assert watched.process.stdout is not None
         os.set_blocking(watched.process.stdout.fileno(), False)
         self._selector.register(watched.process.stdout, selectors.EVENT_READ, watched)
@@ -225,7 +155,7 @@ class ProcessGroup:
             if process is not None and (code := process.poll()) is not None:
                 self._ended(watched, code, now)
             elif process is not None and watched.life_pipe is not None:
-                self._look_for_life(watched, watched.life_pipe, process, now, turn_s)
+                self._look_for_life(watched, process, now, turn_s)
             elif process is not None and watched.aborted_at is not None and now - watched.aborted_at > _ABORT_S:
                 process.kill()
             if watched.restart_at is not None and now >= watched.restart_at:
@@ -274,56 +204,17 @@ class ProcessGroup:
         """Names of programs that are not restarted any more."""
         return [w.name for w in self._programs if w.gave_up]
 
-    def _look_for_life(self, watched: Watched, pipe: int, process: Process, now: float, turn_s: float) -> None:
-        with contextlib.suppress(BlockingIOError):
-            if not os.read(pipe, 4096):  # the program has closed the pipe or ended
-                self._close_pipe(watched)
-            watched.ready, watched.silence_s, watched.stopped_s = True, 0.0, 0.0
-            watched.waited, watched.reported_late = {}, False
-            return
-        watched.silence_s += turn_s
-        if watched.silence_s > SIGN_OF_LIFE_S and (stopped_by := _stopped_by(process.pid)):
-            watched.stopped_s += watched.silence_s if stopped_by == _SIGNAL else 0.0
-            watched.silence_s = 0.0  # a program that continues needs a moment for its next sign
-        if watched.ready and watched.silence_s > SIGN_OF_LIFE_S and not watched.waited:
-            watched.waited, watched.waited_since_s = _waits_for_core(process.pid), watched.silence_s
-        if watched.stopped_s > _STOPPED_S:
-            why = f"has been stopped by a signal for {_STOPPED_S:g} s"
-        elif watched.ready and watched.silence_s > self._silent_s:
-            if watched.silence_s <= _STARVED_FACTOR * self._silent_s and self._is_starved(watched, process.pid):
-                if not watched.reported_late:
-                    watched.reported_late = True
-                    text = f"is late: no sign of life for {self._silent_s:g} s, it waits for the processor"
-                    self._on_event(watched.name, text)
-                return
-            limit_s = self._silent_s * (_STARVED_FACTOR if watched.reported_late else 1.0)
-            why = f"hangs: no sign of life for {limit_s:g} s"
-        elif not watched.ready and len(watched.starts) > 1 and now - watched.starts[-1] > self._ready_s:
-            why = f"is not ready {self._ready_s:g} s after its restart"
-        else:
-            return
-        self._on_event(watched.name, f"{why}: aborted")
-        self._close_pipe(watched)
-        watched.aborted_at = now
-        process.send_signal(signal.SIGABRT)
-
-    @staticmethod
-    def _is_starved(watched: Watched, pid: int) -> bool:
-        """Whether a thread of a silent program has waited for a core for most of the time."""
-        silent_s = watched.silence_s - watched.waited_since_s
-        waited = _waits_for_core(pid)
-        longest_s = max((waited.get(thread, 0.0) - since_s for thread, since_s in watched.waited.items()), default=0.0)
-        return longest_s > _STARVED_SHARE * silent_s
-
-    @staticmethod
-    def _close_pipe(watched: Watched) -> None:
-        if watched.life_pipe is not None:
-            os.close(watched.life_pipe)
-            watched.life_pipe = None
+    def _look_for_life(self, watched: Watched, process: Process, now: float, turn_s: float) -> None:
+        why = watched.problem(process.pid, now, turn_s, self._limits, lambda text: self._on_event(watched.name, text))
+        if why:
+            self._on_event(watched.name, f"{why}: aborted")
+            watched.close_pipe()
+            watched.aborted_at = now
+            process.send_signal(signal.SIGABRT)
 
     def _ended(self, watched: Watched, code: int, now: float) -> None:
         watched.process = None
-        self._close_pipe(watched)
+        watched.close_pipe()
         recent = [t for t in watched.starts if now - t < self._window_s]
         watched.crashed = code < 0
         why = f"signal {signal.Signals(-code).name}" if code < 0 else f"exit code {code}"
@@ -397,7 +288,7 @@ class ProcessGroup:
         for stage in (lambda w: not (w.ends_last or w.rescues), lambda w: w.rescues, lambda w: w.ends_last):
             killed += self._end([w for w in self._programs if w.process is not None and stage(w)], within_s)
         for watched in self._programs:
-            self._close_pipe(watched)
+            watched.close_pipe()
         self._read_rest()
         self._selector.close()
         return killed

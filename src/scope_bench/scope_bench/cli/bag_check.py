@@ -30,7 +30,8 @@ from typing import Any
 from icu_common.adapters.processes.program_end import end_signals, ends_quietly
 from icu_common.core.configuration.option_bounds import check_bounds, named_path
 from scope_bench.adapters.bag.bag_pictures import IMAGE
-from scope_bench.adapters.bag.bags import BagError, BagReader
+from scope_bench.adapters.bag.bag_reader import BagReader
+from scope_bench.adapters.bag.bags import BagError
 from scope_bench.adapters.bag.ros1 import is_ros1
 from scope_bench.adapters.check.messages import read_messages, write_expected
 from scope_bench.adapters.check.pictures import draw

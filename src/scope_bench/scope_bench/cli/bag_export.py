@@ -9,7 +9,8 @@ from pathlib import Path
 
 from icu_common.adapters.processes.program_end import ends_quietly
 from icu_common.core.configuration.option_bounds import check_bounds, named_path
-from scope_bench.adapters.bag.bags import BagError, BagReader
+from scope_bench.adapters.bag.bag_reader import BagReader
+from scope_bench.adapters.bag.bags import BagError
 from scope_bench.core.bag.account import INCOMPLETE
 from scope_bench.export.adapters.lerobot import Dataset
 from scope_bench.export.adapters.pictures import write_images, write_videos

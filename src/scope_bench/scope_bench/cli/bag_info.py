@@ -12,8 +12,9 @@ from pathlib import Path
 
 from icu_common.adapters.processes.program_end import ends_quietly
 from icu_common.core.configuration.option_bounds import named_path
+from scope_bench.adapters.bag.bag_reader import BagReader
 from scope_bench.adapters.bag.bag_repair import repair
-from scope_bench.adapters.bag.bags import BagError, BagReader
+from scope_bench.adapters.bag.bags import BagError
 from scope_bench.export.adapters.pictures import save_strip
 from scope_bench.export.adapters.reading import cameras, namespace_of, session_of
 from scope_bench.export.core.overview import check_lines, gap_text, gaps, goal_lines

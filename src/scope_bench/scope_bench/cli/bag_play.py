@@ -24,7 +24,8 @@ from icu_common.core.configuration.option_bounds import check_bounds, named_path
 from icu_common.nodes.runtime import Session, ros_session
 from icu_common.nodes.topic_names import check_names
 from scope_bench.adapters.bag.bag_pictures import SUFFIX
-from scope_bench.adapters.bag.bags import BagError, BagReader, BagTopic
+from scope_bench.adapters.bag.bag_reader import BagReader
+from scope_bench.adapters.bag.bags import BagError, BagTopic
 from scope_bench.cli.progress import ProgressLine
 from scope_bench.core.bag.account import INCOMPLETE, Account
 from scope_bench.core.bag.play_clock import PlayClock, progress_bar

@@ -18,7 +18,8 @@ from icu_common.nodes.runtime import Session, ros_session
 from icu_common.nodes.topic_names import check_names
 from scope_bench.adapters.bag.bag_pictures import PictureCodec
 from scope_bench.adapters.bag.bag_sink import BagSink
-from scope_bench.adapters.bag.bags import STORAGES, BagError, BagWriter
+from scope_bench.adapters.bag.bag_writer import STORAGES, BagWriter
+from scope_bench.adapters.bag.bags import BagError
 from scope_bench.cli.progress import ProgressLine
 from scope_bench.core.bag.account import INCOMPLETE, Account
 from scope_bench.nodes.bag_recorder import BagRecorder

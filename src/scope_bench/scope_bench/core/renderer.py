@@ -23,7 +23,8 @@ from scope_bench.core.optics import Rays, StereoRig, turn
 from scope_bench.core.panel_texture import Picture
 from scope_bench.core.solids import ControlState
 from scope_bench.core.stylus_picture import StylusPainter
-from scope_bench.core.view import SAMPLES, Surfaces, View, Window
+from scope_bench.core.surfaces import Surfaces
+from scope_bench.core.view import SAMPLES, View, Window
 from scope_bench.imaging.configuration import ImagingConfig
 from scope_bench.imaging.motion import ShutterTimes, TipTrack, row_tips
 from scope_bench.imaging.rig import NO_SHIFTS, CameraShift, Drift, Shifts, true_rig

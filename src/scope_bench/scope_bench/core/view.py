@@ -7,7 +7,6 @@ far to near; when one of them moves, only its surroundings are composed again.
 
 from __future__ import annotations
 
-import functools
 from collections import OrderedDict
 from dataclasses import dataclass
 from typing import Any
@@ -20,15 +19,12 @@ from icu_common.core.geometry.geometry import Array, Transform
 from icu_common.core.panel.panel_layout import Control, PanelLayout
 from scope_bench.core.configuration import LightConfig
 from scope_bench.core.optics import Camera, Rays
-from scope_bench.core.panel_texture import Canvas, Picture, draw_face
-from scope_bench.core.solids import LAMP_DIRECTION, SHADOW_REACH, ControlState, cast, paint
+from scope_bench.core.panel_texture import Picture
+from scope_bench.core.solids import LAMP_DIRECTION, ControlState, cast, paint
+from scope_bench.core.surfaces import FACE_PER_MM, TABLE_LEFT_MM, TABLE_PER_MM, TABLE_TOP_MM, Surfaces, shade
 from scope_bench.imaging.configuration import DefocusConfig
 from scope_bench.imaging.focus import Focus, blurred
-from scope_bench.manufacture.age import aged
-from scope_bench.manufacture.configuration import ManufactureConfig
 
-FACE_PER_MM = 12.0
-EXACT = ManufactureConfig()
 SAMPLES = 4
 """Samples per pixel and direction."""
 CASE_MM = 30.0
@@ -48,38 +44,6 @@ class Sprite:
     share: npt.NDArray[np.float32]
     reflected: npt.NDArray[np.float32]
     emitted: npt.NDArray[np.float32]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Surfaces:
-    """Parts drawn once for a layout: the printed face, the controls' shadows on it, the table, the case's shadow."""
-
-    face: Picture
-    face_shadow: npt.NDArray[np.float32]
-    table: Picture
-    table_shadow: npt.NDArray[np.float32]
-
-    @classmethod
-    @functools.lru_cache(maxsize=2)
-    def of(cls, layout: PanelLayout, manufacture: ManufactureConfig = EXACT, seed: int = 0) -> Surfaces:
-        """Draw the surfaces; drawing takes about a second, so the last ones are kept.
-
-        Parameters
-        ----------
-        layout
-            The panel as manufactured.
-        manufacture, seed
-            Ageing of the panel.
-        """
-        age = manufacture.age
-        return cls(
-            face=aged(layout, age, seed, FACE_PER_MM, draw_face)
-            if manufacture.enabled
-            else draw_face(layout, FACE_PER_MM),
-            face_shadow=_face_shadow(layout),
-            table=_table(),
-            table_shadow=_table_shadow(layout),
-        )
 
 
 class View:
@@ -231,12 +195,12 @@ class View:
             table_x, table_y = table_xy[:, rows].astype(np.float32)
             ground = cv2.remap(
                 surfaces.table,
-                (table_x - _TABLE_LEFT) * _TABLE_PER_MM - 0.5,
-                (_TABLE_TOP - table_y) * _TABLE_PER_MM - 0.5,
+                (table_x - TABLE_LEFT_MM) * TABLE_PER_MM - 0.5,
+                (TABLE_TOP_MM - table_y) * TABLE_PER_MM - 0.5,
                 cv2.INTER_LINEAR,
                 borderMode=cv2.BORDER_REPLICATE,
             ).astype(np.float32)
-            result[rows] = ground * _shade(surfaces.table_shadow, self.layout, *under[:, rows].astype(np.float32))
+            result[rows] = ground * shade(surfaces.table_shadow, self.layout, *under[:, rows].astype(np.float32))
             rows = slice(max(top, case_rows.start), min(rows.stop, case_rows.stop))
             if rows.start < rows.stop:
                 self._lay_case(result, surfaces, (rows, case_columns))
@@ -251,7 +215,7 @@ class View:
         map_x, map_y = x * s - 0.5, (np.float32(face_height) - y) * s - 0.5
         seen = cv2.remap(surfaces.face, map_x, map_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         printed = cv2.resize(seen, size, interpolation=cv2.INTER_AREA).astype(np.float32)
-        printed *= _shade(surfaces.face_shadow, self.layout, *self.xy0[(slice(None), *window)].astype(np.float32))
+        printed *= shade(surfaces.face_shadow, self.layout, *self.xy0[(slice(None), *window)].astype(np.float32))
         inside = (x >= 0) & (x <= face_width) & (y >= 0) & (y <= face_height)
         on_top = cv2.resize(inside.astype(np.float32), size, interpolation=cv2.INTER_AREA)[..., None]
         edge = min(self._samples, 2)
@@ -349,58 +313,3 @@ def _relative(inner: Window, outer: Window) -> Window:
         slice(inner[0].start - outer[0].start, inner[0].stop - outer[0].start),
         slice(inner[1].start - outer[1].start, inner[1].stop - outer[1].start),
     )
-
-
-_TABLE_LEFT, _TABLE_TOP, _TABLE_SIDE, _TABLE_PER_MM = -260.0, 460.0, 880.0, 2.0
-_SHADOW_BORDER = 100
-
-
-def _table() -> Picture:
-    """Draw the mat under the instrument; its upper left corner is at (_TABLE_LEFT, _TABLE_TOP) mm in base_link."""
-    canvas = Canvas((_TABLE_SIDE, _TABLE_SIDE), _TABLE_PER_MM, "#39443f")
-    for i in range(45):
-        colour, line = ("#566660", 0.9) if i % 5 == 0 else ("#45524c", 0.5)
-        canvas.rectangle(i * 20.0, 0.0, line, _TABLE_SIDE, colour)
-        canvas.rectangle(0.0, i * 20.0, _TABLE_SIDE, line, colour)
-    return canvas.picture
-
-
-def _shade(shadow: npt.NDArray[np.float32], layout: PanelLayout, x: Array, y: Array) -> npt.NDArray[np.float32]:
-    """Look up a shadow map, one texel per mm with a border around the panel, at panel points in mm: (..., 1)."""
-    rows = np.asarray(layout.size_mm[1] + _SHADOW_BORDER - 0.5 - y, np.float32)
-    columns = np.asarray(x + (_SHADOW_BORDER - 0.5), np.float32)
-    found = cv2.remap(shadow, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    return np.asarray(found, dtype=np.float32)[..., None]
-
-
-def _empty_shadow(layout: PanelLayout) -> npt.NDArray[np.float32]:
-    width, height = (round(side) + 2 * _SHADOW_BORDER for side in layout.size_mm)
-    return np.zeros((height, width), np.float32)
-
-
-def _table_shadow(layout: PanelLayout) -> npt.NDArray[np.float32]:
-    """Return the case's soft shadow on the table as factors; it falls to the right and down."""
-    shadow = _empty_shadow(layout)
-    top, left = _SHADOW_BORDER + 16, _SHADOW_BORDER + 10
-    shadow[top : top + round(layout.size_mm[1]), left : left + round(layout.size_mm[0])] = 1.0
-    return np.asarray(1 - 0.55 * cv2.GaussianBlur(shadow, (0, 0), 8), dtype=np.float32)
-
-
-def _face_shadow(layout: PanelLayout) -> npt.NDArray[np.float32]:
-    """Return the controls' soft shadows on the face as factors."""
-    shadow = _empty_shadow(layout)
-    for control in layout.controls:
-        for step in np.linspace(0, 1, 6) if control.height_mm > 0 else ():
-            reach = SHADOW_REACH * control.height_mm * step
-            x = control.position_mm[0] - LAMP_DIRECTION[0] * reach + _SHADOW_BORDER
-            y = layout.size_mm[1] - control.position_mm[1] + LAMP_DIRECTION[1] * reach + _SHADOW_BORDER
-            half_x, half_y = (side / 2 for side in control.size_mm)
-            # Sixteenths of a millimetre, with half a texel between a texel's corner and its centre.
-            centre = (round((x - 0.5) * 16), round((y - 0.5) * 16))
-            if control.shape == "circle":
-                cv2.circle(shadow, centre, round(half_x * 16), (1.0,), -1, shift=4)
-            else:
-                reach_px = round(half_x * 16), round(half_y * 16)
-                low, high = (tuple(c + sign * r for c, r in zip(centre, reach_px)) for sign in (-1, 1))
-                cv2.rectangle(shadow, low, high, (1.0,), -1, shift=4)
-    return np.asarray(1 - 0.38 * cv2.GaussianBlur(shadow, (0, 0), 1.6), dtype=np.float32)

@@ -10,7 +10,8 @@ from pathlib import Path
 
 from rclpy.serialization import deserialize_message, serialize_message
 
-from scope_bench.adapters.bag.bags import BagReader, BagTopic
+from scope_bench.adapters.bag.bag_reader import BagReader
+from scope_bench.adapters.bag.bags import BagTopic
 from scope_bench.adapters.bag.definitions import written_hash
 from scope_bench.nodes.bag_qos import message_class
 

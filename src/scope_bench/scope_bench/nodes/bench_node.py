@@ -18,8 +18,8 @@ from icu_common.nodes.parameters import LiveParameters
 from icu_common.nodes.qos import LATCHED, RESULTS
 from icu_common.nodes.runtime import interruptible, run
 from icu_common.nodes.timers import every
-from scope_bench.adapters.simulation import Health, Simulation
-from scope_bench.adapters.step_time import StepTime
+from scope_bench.adapters.bench.simulation import Health, Simulation
+from scope_bench.adapters.bench.step_time import StepTime
 from scope_bench.core.configuration import BenchConfig
 
 DIAGNOSTICS_S = 1.0

@@ -27,7 +27,8 @@ from icu_common.nodes.graph_node import this_process
 from icu_common.nodes.messages.heads import stamp_ns
 from icu_common.nodes.qos import RESULTS
 from icu_common.nodes.runtime import Session
-from scope_bench.adapters.bag.bags import BagError, BagReader
+from scope_bench.adapters.bag.bag_reader import BagReader
+from scope_bench.adapters.bag.bags import BagError
 from scope_bench.nodes.bag_player import BagPlayer
 
 CUE, TRAJECTORY, ANSWER = "bag/cue", "gantry/trajectory", "gantry/trajectory_result"

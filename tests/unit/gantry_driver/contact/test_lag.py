@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gantry_driver.core.contact.config import ContactConfig
-from gantry_driver.core.contact.heights import FindingCode
+from gantry_driver.core.contact.heights import HeightFindingCode
 from gantry_driver.core.contact.lag import Lag, height_of, lag_between
 from gantry_driver.core.contact.memory import HeightMemory
 from gantry_driver.core.contact.press import Evidence, next_extension_m, verdict
@@ -86,7 +86,7 @@ def test_what_is_known_of_a_touch(lag_m: float | None, effect: bool, switch: boo
 def test_a_stylus_that_was_bumped_is_reported_once_and_corrected() -> None:
     memory = HeightMemory(CONFIG)
     finding = memory.looked(0.0008, 0.00005)
-    assert finding is not None and finding.code is FindingCode.STYLUS_OFFSET
+    assert finding is not None and finding.code is HeightFindingCode.STYLUS_OFFSET
     assert finding.text() == "the stylus is 0.8 mm higher than its readings say"
     assert memory.stylus.value_m == pytest.approx(0.0008, abs=2e-5)
     assert memory.looked(0.00083, 0.00005) is None

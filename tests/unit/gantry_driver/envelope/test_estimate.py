@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from gantry_driver.core.contact.heights import FindingCode, HeightEstimate
+from gantry_driver.core.contact.heights import HeightEstimate, HeightFindingCode
 from gantry_driver.core.envelope.estimate import HELD_SIGMA_M, MOST_POSES, WINDOW_S, PlaneEstimate, plane_below
 from gantry_driver.core.envelope.plane import PanelPlane
 from icu_common.core.geometry.geometry import Transform
@@ -88,7 +88,7 @@ PLANE = PanelPlane(at_m=(0.1, 0.2, 0.03), slope=(0.1, 0.2), covariance=(4e-8, 1e
 
 
 def stylus(*, measured: bool) -> HeightEstimate:
-    code = FindingCode.STYLUS_OFFSET
+    code = HeightFindingCode.STYLUS_OFFSET
     return HeightEstimate(code=code, value_m=0.0005, sigma_m=0.0003, drift_m=0.0, measured=measured)
 
 

@@ -7,12 +7,12 @@ import re
 
 import pytest
 
-from gantry_driver.core.envelope.config import EnvelopeConfig
+from gantry_driver.core.configuration.envelope_config import EnvelopeConfig
+from gantry_driver.core.configuration.machine_config import DriverConfig, StylusConfig
 from gantry_driver.core.envelope.keeper import JUMP_M, Envelope, path_of
 from gantry_driver.core.envelope.plane import FARTHEST_M, MAX_SLOPE, PanelPlane, plane_of
 from gantry_driver.core.envelope.rules import EnvelopeFault
 from gantry_driver.core.grbl.trajectory_gcode import Motion, Move, Order
-from gantry_driver.core.machine.machine_config import DriverConfig, StylusConfig
 from icu_common.core.goals.intent import Intent
 
 CONFIG = DriverConfig()

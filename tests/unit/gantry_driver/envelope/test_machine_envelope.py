@@ -7,12 +7,12 @@ import dataclasses
 import pytest
 from unit.gantry_driver.protocol_board import HOMED, Rig
 
-from gantry_driver.core.envelope.config import EnvelopeConfig
+from gantry_driver.core.configuration.envelope_config import EnvelopeConfig
+from gantry_driver.core.configuration.machine_config import DriverConfig
 from gantry_driver.core.envelope.plane import PanelPlane
 from gantry_driver.core.grbl.trajectory_gcode import Waypoint
 from gantry_driver.core.guard.commands import COMMANDS
-from gantry_driver.core.machine.machine_config import DriverConfig
-from gantry_driver.core.machine.machine_states import Note
+from gantry_driver.core.states.machine_states import Note
 from icu_common.core.geometry.frames import JOINTS
 from icu_common.core.goals.intent import Intent, frame_of, read_frame
 from icu_common.core.goals.results import GoalResult, Outcome

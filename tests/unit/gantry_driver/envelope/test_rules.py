@@ -9,10 +9,10 @@ import random
 
 import pytest
 
-from gantry_driver.core.envelope.config import EnvelopeConfig
+from gantry_driver.core.configuration.envelope_config import EnvelopeConfig
+from gantry_driver.core.configuration.machine_config import DriverConfig, StylusConfig
 from gantry_driver.core.envelope.plane import PanelPlane, plane_of
 from gantry_driver.core.envelope.rules import STRAIGHT_M, Breach, EnvelopeFault, Reading, breach_of, depth_limit_m
-from gantry_driver.core.machine.machine_config import DriverConfig, StylusConfig
 from icu_common.core.goals.intent import Intent
 
 CONFIG = DriverConfig()

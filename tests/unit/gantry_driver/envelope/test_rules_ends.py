@@ -7,6 +7,7 @@ import math
 
 import pytest
 
+from gantry_driver.core.configuration.machine_config import DriverConfig
 from gantry_driver.core.envelope import rules
 from gantry_driver.core.envelope.plane import PanelPlane
 from gantry_driver.core.envelope.rules import (
@@ -18,7 +19,6 @@ from gantry_driver.core.envelope.rules import (
     breach_of,
     depth_limit_m,
 )
-from gantry_driver.core.machine.machine_config import DriverConfig
 from icu_common.core.goals.intent import Intent
 
 CONFIG = DriverConfig()

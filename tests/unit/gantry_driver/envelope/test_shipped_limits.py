@@ -7,8 +7,8 @@ import math
 import pytest
 from parameter_files import CONFIG, parameters
 
-from gantry_driver.core.goals.controller_config import ControllerConfig
-from gantry_driver.core.machine.machine_config import DriverConfig
+from gantry_driver.core.configuration.machine_config import DriverConfig
+from gantry_driver.core.job.controller_config import ControllerConfig
 from icu_common.core.configuration.config import from_mapping
 from icu_common.core.panel.panel_layout import load_layout
 

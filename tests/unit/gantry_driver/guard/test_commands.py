@@ -6,12 +6,12 @@ from typing import Any
 
 import pytest
 
+from gantry_driver.core.configuration.machine_config import DriverConfig
 from gantry_driver.core.envelope.plane import PanelPlane
 from gantry_driver.core.grbl.trajectory_gcode import Waypoint
 from gantry_driver.core.guard.commands import COMMANDS
 from gantry_driver.core.guard.messages import config_values, waypoint_values
 from gantry_driver.core.machine.machine import Machine
-from gantry_driver.core.machine.machine_config import DriverConfig
 from icu_common.core.goals.intent import Intent
 
 NOW = 7.5

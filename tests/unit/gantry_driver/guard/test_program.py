@@ -16,8 +16,8 @@ from deadlines import wait_until
 
 from gantry_driver.adapters.guard.places import guard_path
 from gantry_driver.cli.gantry_guard import parser
+from gantry_driver.core.configuration.machine_config import DriverConfig
 from gantry_driver.core.guard.messages import FrameReader, config_values, frame
-from gantry_driver.core.machine.machine_config import DriverConfig
 
 WITHIN_S = 30.0
 Start = Callable[..., "subprocess.Popen[str]"]

@@ -8,12 +8,12 @@ from typing import Any
 import pytest
 from unit.gantry_driver.protocol_board import HOMED, Board, Rig
 
+from gantry_driver.core.configuration.machine_config import DriverConfig, MachineConfig, StylusConfig
+from gantry_driver.core.grbl.contradictions import OUT_OF_TURN
 from gantry_driver.core.grbl.grbl_messages import parse_line
 from gantry_driver.core.grbl.trajectory_gcode import Waypoint
 from gantry_driver.core.machine.machine import Machine
-from gantry_driver.core.machine.machine_config import DriverConfig, MachineConfig, StylusConfig
-from gantry_driver.core.machine.machine_states import CloseRequested, Note, Phase
-from gantry_driver.core.wire.contradictions import OUT_OF_TURN
+from gantry_driver.core.states.machine_states import CloseRequested, Note, Phase
 from gantry_driver.core.wire.faults import MotionFault
 from icu_common.core.configuration.config import ConfigError
 from icu_common.core.geometry.frames import JOINTS

@@ -8,11 +8,11 @@ from typing import Any
 import pytest
 from unit.gantry_driver.protocol_board import HOMED, Board, Rig
 
-from gantry_driver.core.grbl.connection import HOLD_REPEAT_S
+from gantry_driver.core.configuration.machine_config import DriverConfig
+from gantry_driver.core.machine.connection import HOLD_REPEAT_S
 from gantry_driver.core.machine.machine import BANNER_TIMEOUT_S
-from gantry_driver.core.machine.machine_config import DriverConfig
-from gantry_driver.core.machine.machine_states import CloseRequested, Phase
 from gantry_driver.core.machine.stopping import LOCKED
+from gantry_driver.core.states.machine_states import CloseRequested, Phase
 
 PRESSED = (0.1, 0.1, 0.02)
 CONFIG = DriverConfig(enabled_at_start=True)

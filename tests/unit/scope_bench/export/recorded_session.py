@@ -9,7 +9,8 @@ import cv2
 import numpy as np
 from rosbags.typesys import Stores, get_typestore
 
-from scope_bench.adapters.bag.bags import BagTopic, BagWriter
+from scope_bench.adapters.bag.bag_writer import BagWriter
+from scope_bench.adapters.bag.bags import BagTopic
 
 TYPES = get_typestore(Stores.ROS2_JAZZY)
 START_NS = 1_700_000_000_000_000_000

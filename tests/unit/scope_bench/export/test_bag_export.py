@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from unit.scope_bench.export import recorded_session as recorded
 
-from scope_bench.adapters.bag.bags import BagReader
+from scope_bench.adapters.bag.bag_reader import BagReader
 from scope_bench.cli import bag_export
 
 GOLDEN = Path(__file__).parents[3] / "golden" / "bag"
@@ -132,7 +132,8 @@ def test_videos_have_a_frame_for_each_message(session: Path, tmp_path: Path) -> 
 
 
 def test_images_that_cannot_be_written_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    from scope_bench.adapters.bag.bags import BagTopic, BagWriter
+    from scope_bench.adapters.bag.bag_writer import BagWriter
+    from scope_bench.adapters.bag.bags import BagTopic
 
     with BagWriter(tmp_path / "bag", "mcap") as bag:
         bag.add_topic(BagTopic(name="/camera/image_raw/compressed", type="sensor_msgs/msg/CompressedImage"))

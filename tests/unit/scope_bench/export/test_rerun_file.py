@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from unit.scope_bench.export import recorded_session as recorded
 
-from scope_bench.adapters.bag.bags import BagReader
+from scope_bench.adapters.bag.bag_reader import BagReader
 from scope_bench.cli import bag_export
 
 GOLDEN = Path(__file__).parents[3] / "golden" / "bag"

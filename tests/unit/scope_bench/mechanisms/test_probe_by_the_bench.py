@@ -9,11 +9,11 @@ from pathlib import Path
 import pytest
 from line_socket import LineSocket
 from unit.gantry_driver.mock_rig import FREE
-from unit.gantry_driver.test_mock_port import Running, expect, wait_for
+from unit.gantry_driver.mock_service import Running, expect, wait_for
 
 from icu_common.core.configuration.config import from_mapping
 from icu_common.core.panel.panel_layout import load_layout
-from scope_bench.adapters.simulation import Simulation
+from scope_bench.adapters.bench.simulation import Simulation
 from scope_bench.core.configuration import BenchConfig
 
 LAYOUT = load_layout(Path(__file__).parents[4] / "config/scopes/dso_bench_4.yaml")

@@ -19,6 +19,7 @@ from typing import Any
 
 from gantry_driver.adapters.guard.places import guard_path, peer_process, sample_threads
 from gantry_driver.adapters.wake_pipe import WakePipe
+from gantry_driver.core.configuration.machine_config import DriverConfig
 from gantry_driver.core.grbl.trajectory_gcode import Waypoint
 from gantry_driver.core.guard.commands import COMMANDS
 from gantry_driver.core.guard.messages import (
@@ -31,8 +32,7 @@ from gantry_driver.core.guard.messages import (
 )
 from gantry_driver.core.guard.silence import SilenceWatch
 from gantry_driver.core.machine.machine import Machine
-from gantry_driver.core.machine.machine_config import DriverConfig
-from gantry_driver.core.machine.machine_states import Answered, Event, Note, StateChanged
+from gantry_driver.core.states.machine_states import Answered, Event, Note, StateChanged
 from icu_common.adapters.real_time import steady_s
 from icu_common.core.goals.results import GoalResult, Outcome
 

@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import Any
 
 from gantry_driver.adapters.guard.places import guard_path
+from gantry_driver.core.configuration.machine_config import DriverConfig
 from gantry_driver.core.guard.messages import config_of, config_values
-from gantry_driver.core.machine.machine_config import DriverConfig
 
 FORMAT = 1
 MAX_BYTES = 64 * 1024

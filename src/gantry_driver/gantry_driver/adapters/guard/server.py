@@ -15,12 +15,12 @@ from gantry_driver.adapters.guard.places import guard_path, peer_process, sample
 from gantry_driver.adapters.guard.port_record import PortRecord, device_identity, record_path, write_record
 from gantry_driver.adapters.serial_link import SerialLink
 from gantry_driver.adapters.stylus_record import StylusRecord
+from gantry_driver.core.configuration.machine_config import DriverConfig
 from gantry_driver.core.guard.commands import COMMANDS
 from gantry_driver.core.guard.messages import FrameError, FrameReader, config_of, event_values, frame
 from gantry_driver.core.guard.silence import SilenceWatch
 from gantry_driver.core.machine.machine import Machine
-from gantry_driver.core.machine.machine_config import DriverConfig
-from gantry_driver.core.machine.machine_states import Event, Note, Position, StateChanged
+from gantry_driver.core.states.machine_states import Event, Note, Position, StateChanged
 from icu_common.adapters.direct_stop.line import open_stop_socket, received_stop
 from icu_common.adapters.real_time import steady_s
 from icu_common.core.configuration.config import settings_of

@@ -9,10 +9,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from gantry_driver.core.grbl.grbl_messages import Dialect
+from gantry_driver.core.grbl.settings_profile import MACHINE_POSITION, REPORT_MASK, WORK_OFFSET
 
-REPORT_MASK = 10
-MACHINE_POSITION, WORK_OFFSET = 1, 32
-"""Bits of the setting; a report needs one of them."""
 UNPLACED_REPORTS = 40
 """Reports without a machine position after which none is to be expected; GRBL sends its offset with every 30th."""
 QUOTED_BYTES = 80

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from gantry_driver.core.machine.machine_states import Note
+from gantry_driver.core.states.machine_states import Note
 
 RESETS_APART_S = 5.0
 """Seconds without a reset that end a row; the next reset gets a line of its own."""

@@ -12,7 +12,7 @@ LEAST_M = 0.0003
 """Minimum size of a reported surprise, in metres."""
 
 
-class FindingCode(str, Enum):
+class HeightFindingCode(str, Enum):
     """Machine-readable kind of a surprise at a look or a touch."""
 
     STYLUS_OFFSET = "stylus_offset"
@@ -25,19 +25,19 @@ class FindingCode(str, Enum):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Finding:
+class HeightFinding:
     """A surprise larger than three standard deviations, in metres."""
 
-    code: FindingCode
+    code: HeightFindingCode
     value_m: float
     sigma_m: float
 
     def text(self) -> str:
         """Return a text for people."""
         off_mm, positive = 1000.0 * abs(self.value_m), self.value_m > 0
-        if self.code is FindingCode.STYLUS_OFFSET and positive:
+        if self.code is HeightFindingCode.STYLUS_OFFSET and positive:
             return f"the stylus is {off_mm:.1f} mm higher than its readings say"
-        if self.code is FindingCode.STYLUS_OFFSET:
+        if self.code is HeightFindingCode.STYLUS_OFFSET:
             return f"the stylus is {off_mm:.1f} mm lower than its readings say"
         if positive:
             return f"the panel is {off_mm:.1f} mm lower than measured"
@@ -67,27 +67,27 @@ class HeightEstimate:
 
     Examples
     --------
-    >>> offset = HeightEstimate(code=FindingCode.STYLUS_OFFSET, sigma_m=0.0002, drift_m=0.00005)
+    >>> offset = HeightEstimate(code=HeightFindingCode.STYLUS_OFFSET, sigma_m=0.0002, drift_m=0.00005)
     >>> offset.take(0.0008, 0.0001).value_m, round(1000 * offset.value_m, 2)
     (0.0008, 0.79)
     >>> offset.take(0.00085, 0.0001) is None
     True
     """
 
-    code: FindingCode
+    code: HeightFindingCode
     value_m: float = 0.0
     sigma_m: float
     drift_m: float
     measured: bool = False
 
-    def take(self, measured_m: float, sigma_m: float) -> Finding | None:
+    def take(self, measured_m: float, sigma_m: float) -> HeightFinding | None:
         """Take a measurement and its standard deviation; return the finding, None for an expected value."""
         surprise = measured_m - self.value_m
         before = self.sigma_m**2 + (self.drift_m**2 if self.measured else 0.0)
         expected = math.sqrt(before + sigma_m**2)
         finding = None
         if abs(surprise) > max(SIGMAS * expected, LEAST_M):
-            finding = Finding(code=self.code, value_m=surprise, sigma_m=expected)
+            finding = HeightFinding(code=self.code, value_m=surprise, sigma_m=expected)
             before = max(before, surprise**2)  # the expectation is disproved
         gain = before / (before + sigma_m**2)
         self.value_m += gain * surprise

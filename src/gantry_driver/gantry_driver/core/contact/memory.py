@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from gantry_driver.core.contact.config import ContactConfig
-from gantry_driver.core.contact.heights import Finding, FindingCode, HeightEstimate
+from gantry_driver.core.contact.heights import HeightEstimate, HeightFinding, HeightFindingCode
 
 KEY_STROKE_M = 0.0015
 KEY_STROKE_SIGMA_M = 0.001
@@ -25,7 +25,7 @@ class HeightMemory:
         """Start again, after a calibration."""
         height = self.config.height
         self.stylus = HeightEstimate(
-            code=FindingCode.STYLUS_OFFSET, sigma_m=height.start_sigma_m, drift_m=height.drift_sigma_m
+            code=HeightFindingCode.STYLUS_OFFSET, sigma_m=height.start_sigma_m, drift_m=height.drift_sigma_m
         )
         self._ends: dict[tuple[str, bool], HeightEstimate] = {}
 
@@ -37,7 +37,7 @@ class HeightMemory:
         return self._ends.setdefault(
             (control, key),
             HeightEstimate(
-                code=FindingCode.PANEL_DEPTH,
+                code=HeightFindingCode.PANEL_DEPTH,
                 value_m=KEY_STROKE_M if key else 0.0,
                 sigma_m=KEY_STROKE_SIGMA_M if key else height.start_sigma_m,
                 drift_m=height.drift_sigma_m,
@@ -52,10 +52,10 @@ class HeightMemory:
         known_m = end.value_m + self.config.lag_m + END_SPARE_M
         return min(max(known_m, usual_m if not key else 0.0), self.config.max_travel_m)
 
-    def looked(self, offset_m: float, sigma_m: float) -> Finding | None:
+    def looked(self, offset_m: float, sigma_m: float) -> HeightFinding | None:
         """Take a ball that is seen ``offset_m`` above the height of its reading."""
         return self.stylus.take(offset_m, math.hypot(sigma_m, self.config.height.place_sigma_m))
 
-    def touched(self, control: str, key: bool, end_m: float, sigma_m: float) -> Finding | None:
+    def touched(self, control: str, key: bool, end_m: float, sigma_m: float) -> HeightFinding | None:
         """Take a control that stopped the ball ``end_m`` below its expected top."""
         return self.end(control, key).take(end_m, math.hypot(sigma_m, self.config.height.panel_sigma_m))

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 
+from gantry_driver.core.configuration.machine_config import DriverConfig
 from gantry_driver.core.envelope.plane import PanelPlane
 from gantry_driver.core.envelope.rules import SIGMAS, Breach, EnvelopeFault, Reading, breach_of
 from gantry_driver.core.grbl.trajectory_gcode import Motion, Move, reading_m
-from gantry_driver.core.machine.machine_config import DriverConfig
 from icu_common.core.goals.intent import Intent
 
 JUMP_M = 0.002

@@ -8,8 +8,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
 
+from gantry_driver.core.configuration.machine_config import DriverConfig
 from gantry_driver.core.envelope.plane import PanelPlane
-from gantry_driver.core.machine.machine_config import DriverConfig
 from icu_common.core.goals.intent import Intent
 
 Reading = tuple[float, float, float]

@@ -17,18 +17,18 @@ from functools import partial
 import numpy as np
 
 from gantry_driver.core.envelope.estimate import PlaneEstimate, plane_below
-from gantry_driver.core.goals import controller_messages as msg
 from gantry_driver.core.goals import goal_intake
-from gantry_driver.core.goals.controller_config import ControllerConfig
-from gantry_driver.core.goals.goal_job import MOVING, NANO, OTHERWISE, STATES, Fault, Job, Phase
 from gantry_driver.core.goals.goal_phases import GoalPhases
 from gantry_driver.core.goals.goal_run import nanoseconds
 from gantry_driver.core.goals.obstacles import obstacles
-from gantry_driver.core.goals.patience import CLICK_MAX_AGE_S, HoldUp
+from gantry_driver.core.goals.servo import NO_LOOK, Look
 from gantry_driver.core.goals.world import CROSSED_M
+from gantry_driver.core.job import controller_messages as msg
+from gantry_driver.core.job.controller_config import ControllerConfig
+from gantry_driver.core.job.goal_job import MOVING, NANO, OTHERWISE, STATES, Fault, Job, Phase
+from gantry_driver.core.job.patience import CLICK_MAX_AGE_S, HoldUp
 from gantry_driver.core.motion.motion_plan import OutOfReach
 from gantry_driver.core.motion.scene import Refused
-from gantry_driver.core.motion.servo import NO_LOOK, Look
 from icu_common.core.alignment.findings import Cause
 from icu_common.core.configuration.text_bounds import plain
 from icu_common.core.geometry.geometry import Array

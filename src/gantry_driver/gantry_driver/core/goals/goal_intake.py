@@ -11,13 +11,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from gantry_driver.core.goals.controller_config import ControllerConfig
-from gantry_driver.core.goals.controller_messages import PointGoal
-from gantry_driver.core.goals.effects import Knob, knob_of
-from gantry_driver.core.goals.goal_job import NANO, Aim, Job
 from gantry_driver.core.goals.obstacles import obstacles
-from gantry_driver.core.goals.patience import goal_limit_s, since
 from gantry_driver.core.goals.world import World
+from gantry_driver.core.job.controller_config import ControllerConfig
+from gantry_driver.core.job.controller_messages import PointGoal
+from gantry_driver.core.job.effects import Knob, knob_of
+from gantry_driver.core.job.goal_job import NANO, Aim, Job
+from gantry_driver.core.job.patience import goal_limit_s, since
 from gantry_driver.core.motion import motion_plan, targets
 from gantry_driver.core.motion.scene import Refused, Scene
 from gantry_driver.core.motion.targets import Touch

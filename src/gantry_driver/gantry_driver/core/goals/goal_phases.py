@@ -8,18 +8,18 @@ from typing import ClassVar
 
 import numpy as np
 
-from gantry_driver.core.contact.phases import ContactPhases
-from gantry_driver.core.goals import controller_messages as msg
 from gantry_driver.core.goals import goal_intake
-from gantry_driver.core.goals.effects import NONE_SEEN, Effect, EffectKind, Knob, effect, knob_of
-from gantry_driver.core.goals.goal_job import LOOKING, NANO, Aim, Fault, Job, Phase, Step
+from gantry_driver.core.goals.contact_phases import ContactPhases
 from gantry_driver.core.goals.goal_run import nanoseconds
 from gantry_driver.core.goals.obstacles import obstacles
+from gantry_driver.core.goals.servo import judge, misplaced, places_beside
+from gantry_driver.core.goals.touch_checks import contact_finding, note_error
+from gantry_driver.core.job import controller_messages as msg
+from gantry_driver.core.job.effects import NONE_SEEN, Effect, EffectKind, Knob, effect, knob_of
+from gantry_driver.core.job.goal_job import LOOKING, NANO, Aim, Fault, Job, Phase, Step
 from gantry_driver.core.motion import motion_plan
 from gantry_driver.core.motion.motion_plan import OutOfReach
 from gantry_driver.core.motion.scene import Refused
-from gantry_driver.core.motion.servo import judge, misplaced, places_beside
-from gantry_driver.core.sight.touch_checks import contact_finding, note_error
 from icu_common.core.goals.results import Felt, Outcome
 
 

@@ -8,9 +8,12 @@ import numpy as np
 
 from gantry_driver.core.contact.memory import HeightMemory
 from gantry_driver.core.contact.switch import StylusSwitch
-from gantry_driver.core.goals import controller_messages as msg
-from gantry_driver.core.goals.controller_config import ControllerConfig
-from gantry_driver.core.goals.goal_job import (
+from gantry_driver.core.goals.obstacles import first_delay
+from gantry_driver.core.goals.servo import NO_LOOK, Look
+from gantry_driver.core.goals.world import EXTENDED_M, World
+from gantry_driver.core.job import controller_messages as msg
+from gantry_driver.core.job.controller_config import ControllerConfig
+from gantry_driver.core.job.goal_job import (
     FREE_VIEW,
     MOVING,
     NANO,
@@ -24,12 +27,9 @@ from gantry_driver.core.goals.goal_job import (
     Step,
     intent_in,
 )
-from gantry_driver.core.goals.obstacles import first_delay
-from gantry_driver.core.goals.patience import next_limit_s
-from gantry_driver.core.goals.world import EXTENDED_M, World
+from gantry_driver.core.job.patience import next_limit_s
 from gantry_driver.core.motion import motion_plan
 from gantry_driver.core.motion.motion_plan import OutOfReach, Path
-from gantry_driver.core.motion.servo import NO_LOOK, Look
 from icu_common.core.alignment.findings import Cause
 from icu_common.core.geometry.geometry import Array
 from icu_common.core.goals.intent import Intent

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from gantry_driver.core.goals.controller_config import ControllerConfig
-from gantry_driver.core.goals.goal_job import Obstacle
-from gantry_driver.core.goals.patience import camera_delay, joints_delay, patient_limit_s, since
+from gantry_driver.core.goals.panel_obstacles import panel_obstacles
 from gantry_driver.core.goals.world import EXTENDED_M, LIFTS_NOTHING, World
-from gantry_driver.core.machine.stylus_state import tells_of_stylus
+from gantry_driver.core.job.controller_config import ControllerConfig
+from gantry_driver.core.job.goal_job import Obstacle
+from gantry_driver.core.job.patience import camera_delay, joints_delay, patient_limit_s, since
 from gantry_driver.core.sight.pair_sight import pair_obstacles
-from gantry_driver.core.sight.panel_obstacles import panel_obstacles
+from gantry_driver.core.states.stylus_state import tells_of_stylus
 from icu_common.core.processes.delays import Delay
 
 _DRIVER_TEXT = {

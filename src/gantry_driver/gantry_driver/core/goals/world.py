@@ -9,10 +9,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from gantry_driver.core.envelope.plane import PanelPlane
-from gantry_driver.core.goals import controller_messages as msg
-from gantry_driver.core.goals.controller_config import ControllerConfig
-from gantry_driver.core.goals.goal_job import NANO, Fault
-from gantry_driver.core.goals.patience import camera_delay, joints_delay, patient_limit_s, since
+from gantry_driver.core.job import controller_messages as msg
+from gantry_driver.core.job.controller_config import ControllerConfig
+from gantry_driver.core.job.goal_job import NANO, Fault
+from gantry_driver.core.job.patience import camera_delay, joints_delay, patient_limit_s, since
 from gantry_driver.core.motion.scene import PanelMap, Scene
 from gantry_driver.core.sight.layout_sight import seen_panel
 from gantry_driver.core.sight.pair_sight import pair_finding

@@ -1,6 +1,7 @@
-"""GRBL's protocol: messages of the board (``grbl_messages``), lines and answers (``session``), start and loss of the
-board (``connection``).
+"""GRBL's protocol: messages of the board (``grbl_messages``), lines and answers (``session``).
 
-``trajectory_gcode`` writes a path as lines, ``trajectory_bytes`` limits a message before it is decoded, ``gcode_check``
-checks programs from files, and ``settings_profile`` compares the board's settings.
+A session uses ``lines`` (a line and its outcome), ``buffers`` (the board's free space), ``contradictions`` (reports
+that contradict the count of answers), ``report_requests``, and ``modes`` (the answer to ``$G``). ``trajectory_gcode``
+writes a path as lines, ``trajectory_bytes`` limits a message before it is decoded, and ``settings_profile`` compares
+the board's settings.
 """

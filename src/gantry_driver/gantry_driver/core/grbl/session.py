@@ -11,6 +11,8 @@ import dataclasses
 from collections import deque
 from collections.abc import Iterator
 
+from gantry_driver.core.grbl.buffers import BoardBuffers
+from gantry_driver.core.grbl.contradictions import OUT_OF_TURN, Contradictions
 from gantry_driver.core.grbl.grbl_messages import (
     Alarm,
     Banner,
@@ -24,9 +26,7 @@ from gantry_driver.core.grbl.grbl_messages import (
     Report,
     parse_line,
 )
-from gantry_driver.core.wire.buffers import BoardBuffers
-from gantry_driver.core.wire.contradictions import OUT_OF_TURN, Contradictions
-from gantry_driver.core.wire.lines import (
+from gantry_driver.core.grbl.lines import (
     MAX_LINE_BYTES,
     Acknowledged,
     CountBroken,
@@ -35,22 +35,9 @@ from gantry_driver.core.wire.lines import (
     Refused,
     StrayAnswer,
     WasReset,
-    plain,
 )
-from gantry_driver.core.wire.modes import ASK_MODES
-
-__all__ = [
-    "MAX_LINE_BYTES",
-    "Acknowledged",
-    "CountBroken",
-    "Counts",
-    "GrblSession",
-    "Line",
-    "Refused",
-    "StrayAnswer",
-    "WasReset",
-    "plain",
-]
+from gantry_driver.core.grbl.modes import ASK_MODES
+from gantry_driver.core.grbl.report_requests import SILENT_POLLS, ReportRequests
 
 HOLD = b"!"
 RESUME = b"~"
@@ -77,14 +64,6 @@ after ALARM:1 and 2). A board that was only delayed answers both, see docs/decis
 REPORTS_APART_S = 1.0
 """Seconds by which an interval between reports may exceed the polling interval; in a longer one the board may have been
 homing, and does not count as idle."""
-
-QUESTIONS = 6
-"""Maximum number of open report requests (three polls of two); beyond it the oldest one, or its report, was lost."""
-SILENT_POLLS = 3
-"""Number of poll intervals without a report after which the next report may answer a request that counts as lost."""
-ANSWER_WITHIN_S = 0.08
-"""Seconds after which an open request counts as lost, if requests are rarer than that: a board merges two requests that
-arrive together, and a starting board answers none. Among frequent requests a lost one looks like a slow link."""
 
 
 class GrblSession:
@@ -122,10 +101,7 @@ class GrblSession:
         self.wco_mm: tuple[float, ...] | None = None
         """Work offset that the board has reported since its reset: the stored G54 plus later offsets."""
         self._roomy_reports = 0
-        self._asked: deque[float] = deque()
-        self._dropped_at: float | None = None
-        """Time of the first request since the last report that counts as lost."""
-        """Times of the report requests without an answer."""
+        self._requests = ReportRequests()
         self.report_asked_at = 0.0
         """Time of the request for the last report: the board wrote the report later than that, however late it came."""
         self.blocks_waiting = -1
@@ -156,8 +132,7 @@ class GrblSession:
         self._buffers, self._rx_empty = BoardBuffers(), -1
         self._contradictions.clear()
         self.last_report_at, self.unread_report, self.unplaced_reports = None, b"", 0
-        self._asked.clear()
-        self._dropped_at = None
+        self._requests.clear()
         self.wco_mm, self.wco_is_sure = None, False
         self._quiet_until = self._next_poll = now
 
@@ -281,11 +256,8 @@ class GrblSession:
     def _report(self, report: Report, now: float) -> list[Message]:
         self.counts.reports += 1
         before, self.last_report_at, self.unread_report = self.last_report_at, now, b""
-        self.report_asked_at = self._asked.popleft() if self._asked else now
-        if self._dropped_at is not None and before is not None and now - before > SILENT_POLLS * self.poll_interval_s:
-            # The board was silent: this may be the late answer to a request that counts as lost.
-            self.report_asked_at = self._dropped_at
-        self._dropped_at = None
+        silent = before is not None and now - before > SILENT_POLLS * self.poll_interval_s
+        self.report_asked_at = self._requests.answered(now, silent=silent)
         if before is None or now - before > self.poll_interval_s + REPORTS_APART_S:
             self._contradictions.answered()
         events: list[Message] = []
@@ -333,8 +305,7 @@ class GrblSession:
         self._buffers, self._rx_empty = BoardBuffers(), -1
         self._contradictions.clear()
         self.last_report_at = now
-        self._asked.clear()
-        self._dropped_at = None
+        self._requests.clear()
         return [WasReset(banner=banner, expected=expected, lost=lost, unsent=unsent)]
 
     def _drop_queue(self) -> tuple[Line, ...]:
@@ -370,14 +341,10 @@ class GrblSession:
             self._reset_at = now
         self._resets_unanswered += out.count(SOFT_RESET)
         if self._may_poll() and now >= self._next_poll and now >= self._quiet_until:
-            while self._asked and self.poll_interval_s >= ANSWER_WITHIN_S <= now - self._asked[0]:
-                self._drop_request()
-            doubted = self.sets_feed_back and bool(self._asked)
-            for _ in range(2 if doubted else 1):
-                out += FULL_FEED + STATUS if doubted else STATUS
-                self._asked.append(now)
-            while len(self._asked) > QUESTIONS:
-                self._drop_request()
+            self._requests.drop_lost(self.poll_interval_s, now)
+            doubted = self.sets_feed_back and bool(self._requests)
+            out += 2 * (FULL_FEED + STATUS) if doubted else STATUS
+            self._requests.ask(2 if doubted else 1, now)
             rare = self.polls_spared and bool(self._queue) and self._wire_bound and not self.paused
             self._next_poll = now + (max(self.poll_interval_s, WIRE_BOUND_POLL_S) if rare else self.poll_interval_s)
         while self._may_send(now):
@@ -388,10 +355,6 @@ class GrblSession:
             out += line.text.encode("ascii") + b"\n"
         self.counts.bytes_sent += len(out)
         return bytes(out)
-
-    def _drop_request(self) -> None:
-        asked_at = self._asked.popleft()
-        self._dropped_at = asked_at if self._dropped_at is None else self._dropped_at
 
     @property
     def _wire_bound(self) -> bool:

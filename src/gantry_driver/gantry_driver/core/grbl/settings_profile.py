@@ -6,9 +6,12 @@ import math
 import re
 from collections.abc import Iterable, Mapping
 
-from gantry_driver.core.board_faults.reports import MACHINE_POSITION, REPORT_MASK, WORK_OFFSET
-from gantry_driver.core.grbl.session import plain
+from gantry_driver.core.grbl.lines import plain
 
+REPORT_MASK = 10
+"""Number of the setting that selects the contents of reports."""
+MACHINE_POSITION, WORK_OFFSET = 1, 32
+"""Bits of this setting; a report needs one of them."""
 _LINE = re.compile(r"\$(\d{1,3})\s*=\s*([-+]?\d+\.?\d*)\s*(?:[;(].*)?\Z")
 LARGEST = 1e9
 """Limit of a setting's value: far above every real one, and short enough for a board's line with its decimals."""

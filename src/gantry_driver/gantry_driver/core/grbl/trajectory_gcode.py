@@ -10,9 +10,8 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from gantry_driver.core.grbl.session import plain
-from gantry_driver.core.machine.machine_config import DriverConfig
-from gantry_driver.core.wire.lines import SYNCHRONISE
+from gantry_driver.core.configuration.machine_config import DriverConfig
+from gantry_driver.core.grbl.lines import SYNCHRONISE, plain
 from icu_common.core.geometry.frames import JOINTS
 
 _M_WORD, _S_WORD = re.compile(r"M(\d+)"), re.compile(r"S([\d.]+)")

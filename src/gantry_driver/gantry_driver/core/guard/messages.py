@@ -12,9 +12,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, fields, is_dataclass
 from typing import Any, get_type_hints
 
+from gantry_driver.core.configuration.machine_config import DriverConfig
 from gantry_driver.core.grbl.trajectory_gcode import Waypoint
-from gantry_driver.core.machine.machine_config import DriverConfig
-from gantry_driver.core.machine.machine_states import Answered, CloseRequested, Event, Note, Position, StateChanged
+from gantry_driver.core.states.machine_states import Answered, CloseRequested, Event, Note, Position, StateChanged
 from icu_common.core.goals.results import GoalResult, Outcome
 
 MAX_FRAME_BYTES = 4 * 1024 * 1024

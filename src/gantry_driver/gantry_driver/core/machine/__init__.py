@@ -1,5 +1,7 @@
-"""The machine as a state machine: start reading at ``machine``; its parts are ``stopping`` and ``streaming``.
+"""The machine as a state machine: start reading at ``machine``; each of its parts is a class above the previous one.
 
-``machine_states`` has the states and events, ``machine_config`` the settings, ``stylus_state`` the state of the
-stylus, and ``monitor`` the counts for people.
+They are ``board_state`` (phase, stylus, goal, published state), ``connection`` (port, firmware), ``board_settings``,
+``stopping`` (stops), ``proof`` (reports compared with the path), ``streaming`` (goals), ``homing``, and ``machine``
+(time-outs, and the effect of each message of the board). ``attendance`` has the signs of life of a goal's controller,
+and ``monitor`` the counts for people.
 """

@@ -3,16 +3,15 @@
 It is the policy above :class:`~gantry_driver.core.grbl.session.GrblSession`. Every motion ends in a state with a
 reason, a goal gets exactly one final answer, and no buffered line runs after a stop or an error.
 
-Four parts build on one another: ``connection`` (port, firmware, settings), ``stopping`` (stops), ``streaming``
-(goals), and this module (homing, and the effect of each message of the board).
+Its parts build on one another, see the map of this folder. This module has the time-outs, and the effect of each
+message of the board.
 """
 
 from __future__ import annotations
 
 import math
 
-from gantry_driver.core.board_faults.reports import UNPLACED_REPORTS, no_position_text, with_quote
-from gantry_driver.core.grbl.connection import ASK_ALONE_S, REFUSED
+from gantry_driver.core.board_faults.reports import with_quote
 from gantry_driver.core.grbl.grbl_messages import (
     Alarm,
     Dialect,
@@ -25,15 +24,16 @@ from gantry_driver.core.grbl.grbl_messages import (
     alarm_text,
     error_text,
 )
-from gantry_driver.core.grbl.session import HOLD, Acknowledged, CountBroken, Refused, WasReset
-from gantry_driver.core.grbl.trajectory_gcode import lift_lines, reading_m, stylus_dwell
-from gantry_driver.core.machine.machine_states import Note, Phase, Position
+from gantry_driver.core.grbl.lines import Acknowledged, CountBroken, Refused, WasReset
+from gantry_driver.core.grbl.session import HOLD
+from gantry_driver.core.grbl.trajectory_gcode import reading_m, stylus_dwell
+from gantry_driver.core.machine.board_settings import READ_STARTUP
+from gantry_driver.core.machine.connection import ASK_ALONE_S, REFUSED
+from gantry_driver.core.machine.homing import HOME, HOMING_LEAST_S, Homing
+from gantry_driver.core.machine.proof import OWN_RESET, RESTS
 from gantry_driver.core.machine.stopping import elsewhere
-from gantry_driver.core.machine.streaming import Streaming
-from gantry_driver.core.machine.stylus_state import Stylus
-from gantry_driver.core.wire.board_settings import READ_STARTUP
+from gantry_driver.core.states.machine_states import Note, Phase
 from gantry_driver.core.wire.faults import MotionFault
-from gantry_driver.core.wire.proof import OWN_RESET, RESTS
 from icu_common.core.goals.results import Outcome
 
 BANNER_TIMEOUT_S = 5.0
@@ -41,20 +41,13 @@ BUILD_WITHIN_S = 0.5
 """Maximum seconds in which a board answers ``$I``; during a homing cycle a board answers nothing."""
 CRITICAL_ALARM_PAUSE_S = 0.6
 """Seconds to wait after ALARM:1 and 2: GRBL ignores a reset for about 500 ms, until ``[MSG:Reset to continue]``."""
-OFFSET_WITHIN_S = 1.0
-"""Maximum seconds after homing for two reports with a work offset; a board without one moves, but runs no program."""
-HOME = "$H"
-HOMING_LEAST_S = 0.2
-"""Minimum seconds of a homing cycle, with three pull-offs of an axis; any other line is answered earlier."""
 EEPROM_READ_FAILED = 7
 """Error of a startup line; GRBL and grblHAL then empty it, continue with the other one, and also answer ``ok``."""
-HOMING_FIRST = 22, 4
-"""Setting, and its bit, with which ``$X`` does not unlock a grblHAL board that has not been homed."""
 HOMING_WANTED = {Dialect.GRBLHAL: 11, Dialect.FLUIDNC: 14}
 """Alarm with which a firmware reports after each reset that it has not been homed."""
 
 
-class Machine(Streaming):
+class Machine(Homing):
     """The state machine of one gantry.
 
     Commands (:meth:`home`, :meth:`reset`, :meth:`run`, ...) return at once: an empty string, or the reason of the
@@ -140,42 +133,6 @@ class Machine(Streaming):
     def _stop_what_moves(self, reason: str, now: float) -> None:
         if self.moves_or_presses:
             self.stop(reason, now)
-
-    def home(self, now: float) -> str:
-        """Begin a homing cycle."""
-        if self.phase not in (Phase.UNHOMED, Phase.IDLE) and not self._misplaced:
-            return f"the driver is {self.state_text}"
-        if refusal := self._permission(now) or self._unlock_refusal():
-            return refusal
-        self._forget_position()
-        self._homed_mm = None
-        self._enter(Phase.HOMING, now)
-        self._marker_done = False
-        if self.config.stylus.kind != "z_axis":
-            # The stylus may be down, and a locked board accepts no M3 or M9: unlock, lift, and only then travel.
-            for text in ("$X", *lift_lines(self.config)):
-                self._order_stylus(self.session.queue(text, answer_within_s=self._answer_time()))
-        # Only GRBL is known to drop the tool length and the selected coordinate system at a reset. Other firmwares
-        # report the sum as their work offset. Only after both are cancelled does it equal G54's, with which a program
-        # is checked.
-        ends: tuple[str, ...] = () if self.dialect is Dialect.GRBL else ("G49", "G54")
-        if ends and self._is_servo():
-            ends = (*ends, *lift_lines(self.config))  # grblHAL switches the spindle off before it homes
-        for text in (HOME, *ends):
-            self._marker = self.session.queue(text, answer_within_s=self._answer_time()).number
-        return ""
-
-    def _unlock_refusal(self) -> str:
-        """Return why the board accepts no line that lifts the stylus; homing itself lifts only a Z axis."""
-        number, bit = HOMING_FIRST
-        value = self._settings.get(number, "")
-        locked = self.dialect is Dialect.GRBLHAL and value.isdecimal() and int(value) & bit
-        if self.config.stylus.kind == "z_axis" or self.homed or not locked:
-            return ""
-        return (
-            f"the board must be homed before it takes any line (${number} is {value}), but the stylus has to be lifted "
-            f"before that: set ${number} to 1, as gantry/write_settings does"
-        )
 
     # --- messages of the board ---------------------------------------------------------------------------------------
 
@@ -356,11 +313,6 @@ class Machine(Streaming):
             self._append_position(report)
         self._handle_report(report, now)
 
-    def _append_position(self, report: Report) -> None:
-        assert self.reading_m is not None
-        self.probe = "P" in report.pins if self.config.probe == "stylus_switch" else None
-        self._events.append(Position(reading_m=self.reading_m, probe=self.probe))
-
     def _handle_report(self, report: Report, now: float) -> None:
         handler = {
             Phase.SYNCHRONISE: self._report_synchronise,
@@ -379,34 +331,3 @@ class Machine(Streaming):
         }.get(self.phase)
         if handler is not None:
             handler(report, now)
-
-    def _report_homing(self, report: Report, now: float) -> None:
-        if not self._marker_done or report.state == "Home":
-            return
-        if report.state != "Idle":
-            self._to_alarm(f"after homing the board is {report.state_text}", now)
-            return
-        if report.mpos_mm is None:  # a work position; its offset comes with one of the next reports, or never
-            if self.session.unplaced_reports > UNPLACED_REPORTS:
-                self._halt(no_position_text(self._settings), now)
-            return
-        if self._homed_mm != report.mpos_mm:
-            self._homed_mm, self._homed_at = report.mpos_mm, now
-            self.session.poll_now()
-            return  # All later motion relies on this position, so two reports must agree.
-        if not self.session.wco_is_sure and now - self._homed_at < OFFSET_WITHIN_S:
-            self.session.poll_now()  # So must the work offset of programs, which comes with every tenth report.
-            return
-        # A stage whose stylus is not a Z axis may have none; its Z then keeps its value from power-up.
-        expected = self.config.machine.homed_mpos_mm()[: 3 if self.config.stylus.kind == "z_axis" else 2]
-        if elsewhere(report.mpos_mm, expected):
-            found = ", ".join(f"{v:.3f}" for v in report.mpos_mm[:3])
-            text = f"homed at MPos {found} mm, the configuration says {', '.join(f'{v:g}' for v in expected)} mm"
-            self._enter(Phase.MISMATCH, now, text)
-            self._misplaced = True
-            return
-        self.homed, self._stylus = True, Stylus.lifted(self.config.stylus.kind)
-        self.session.executed_all()
-        self.reading_m = reading_m(report.mpos_mm, False, self.config)
-        self._append_position(report)
-        self._enter(Phase.IDLE, now)

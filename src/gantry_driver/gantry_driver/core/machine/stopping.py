@@ -7,15 +7,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from gantry_driver.core.grbl.connection import HOLD_REPEAT_S, REFUSED
+from gantry_driver.core.configuration.clearance import TUBE_MM
+from gantry_driver.core.configuration.machine_config import DriverConfig
 from gantry_driver.core.grbl.grbl_messages import Dialect, Report
 from gantry_driver.core.grbl.session import HOLD, RESUME
 from gantry_driver.core.grbl.trajectory_gcode import lift_lines, reading_m
-from gantry_driver.core.machine.machine_config import DriverConfig
-from gantry_driver.core.machine.machine_states import Note, Phase
-from gantry_driver.core.machine.stylus_state import STYLUS_DOWN_M, Stylus
-from gantry_driver.core.wire.board_settings import BoardSettings
-from gantry_driver.core.wire.watch import TUBE_MM
+from gantry_driver.core.machine.board_settings import BoardSettings
+from gantry_driver.core.machine.connection import HOLD_REPEAT_S, REFUSED
+from gantry_driver.core.states.machine_states import Note, Phase
+from gantry_driver.core.states.stylus_state import STYLUS_DOWN_M, Stylus
 from icu_common.core.goals.results import Outcome
 
 LIFTS = 2
@@ -42,9 +42,6 @@ class Stopping(BoardSettings):
         """Position of the board in the last report before a stop's reset; None if the report had none."""
         self._stood_at = 0.0
         self._moved_at = 0.0
-        self._homed_mm: tuple[float, ...] | None = None
-        """Position of the board in the last report after a homing cycle."""
-        self._homed_at = 0.0
         self._lift_from_mm: tuple[float, ...] | None = None
         """Position at which the retreat of a Z axis began."""
         self._lifts_left = LIFTS

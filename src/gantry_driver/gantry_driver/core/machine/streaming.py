@@ -8,11 +8,11 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from itertools import chain
 
+from gantry_driver.core.configuration.machine_config import DriverConfig
 from gantry_driver.core.envelope.keeper import Envelope
 from gantry_driver.core.envelope.plane import PanelPlane
-from gantry_driver.core.grbl.connection import HOLD_REPEAT_S
-from gantry_driver.core.grbl.gcode_check import Bounds, CheckedLine, GcodeError, ProgramChecker
 from gantry_driver.core.grbl.grbl_messages import Dialect, Report
+from gantry_driver.core.grbl.lines import SYNCHRONISE
 from gantry_driver.core.grbl.session import HOLD, RESUME
 from gantry_driver.core.grbl.trajectory_gcode import (
     TrajectoryError,
@@ -22,13 +22,14 @@ from gantry_driver.core.grbl.trajectory_gcode import (
     stylus_lines,
     write_motion,
 )
-from gantry_driver.core.machine.machine_config import DriverConfig
-from gantry_driver.core.machine.machine_states import Note, Phase
+from gantry_driver.core.machine.connection import HOLD_REPEAT_S
+from gantry_driver.core.machine.proof import Proving, three
 from gantry_driver.core.machine.stopping import LOCKED
+from gantry_driver.core.program.gcode_check import Bounds, CheckedLine, ProgramChecker
+from gantry_driver.core.program.gcode_words import GcodeError
 from gantry_driver.core.program.marks import LineMarks
+from gantry_driver.core.states.machine_states import Note, Phase
 from gantry_driver.core.wire.goal import Goal
-from gantry_driver.core.wire.lines import SYNCHRONISE
-from gantry_driver.core.wire.proof import Proving, three
 from gantry_driver.core.wire.stages import DOWN_MM, LINE_S, SURPLUS_S, Send, depth_mm, make_script
 from gantry_driver.core.wire.watch import PathWatch
 from icu_common.core.admission.rivals import RivalTopics

@@ -1,3 +1,4 @@
-"""Paths of the stylus: the points to touch (``targets``), panel and bench (``scene``), the path (``motion_plan``), and
-the correction by a look at the tip (``servo``).
+"""Paths of the stylus: the points to touch (``targets``), panel and bench (``scene``), and the path (``motion_plan``).
+
+``touch_error`` is the uncertainty of a touch.
 """

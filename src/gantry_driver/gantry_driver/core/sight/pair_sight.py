@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from gantry_driver.core.goals.controller_config import ControllerConfig
-from gantry_driver.core.goals.goal_job import Obstacle
+from gantry_driver.core.job.controller_config import ControllerConfig
+from gantry_driver.core.job.goal_job import Obstacle
 from icu_common.core.alignment.findings import Finding, FindingCode
 from icu_common.core.alignment.pair import PairCode, PairState
 

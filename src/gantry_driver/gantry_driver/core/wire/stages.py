@@ -20,7 +20,9 @@ import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
-from gantry_driver.core.grbl.session import plain
+from gantry_driver.core.configuration.machine_config import DriverConfig
+from gantry_driver.core.grbl.lines import SYNCHRONISE, plain
+from gantry_driver.core.grbl.modes import ASK_MODES, Modes
 from gantry_driver.core.grbl.trajectory_gcode import (
     MODES,
     SAME_FEED,
@@ -30,10 +32,7 @@ from gantry_driver.core.grbl.trajectory_gcode import (
     stylus_dwell,
     stylus_lines,
 )
-from gantry_driver.core.machine.machine_config import DriverConfig
-from gantry_driver.core.machine.stylus_state import STYLUS_DOWN_M
-from gantry_driver.core.wire.lines import SYNCHRONISE
-from gantry_driver.core.wire.modes import ASK_MODES, Modes
+from gantry_driver.core.states.stylus_state import STYLUS_DOWN_M
 from gantry_driver.core.wire.watch import Segment, Vector
 
 DOWN_MM = 1000.0 * STYLUS_DOWN_M

@@ -12,12 +12,11 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from gantry_driver.core.wire.polyline import Polyline
+from gantry_driver.core.configuration.clearance import TUBE_MM
+from gantry_driver.core.program.polyline import Polyline
 
 Vector = tuple[float, float, float]
 
-TUBE_MM = 0.15
-"""Radius of the tube: at most two motor steps of each axis at 80 steps/mm, and a report that is read in mid-step."""
 REPORT_LATE_S = 0.1
 """Maximum seconds by which the time between two positions exceeds that from the request of the first to the report of
 the second: a lost request, and different clocks."""

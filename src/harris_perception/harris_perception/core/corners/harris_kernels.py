@@ -1,6 +1,6 @@
 """Loops of the detector over pixels and corners, compiled by numba; harris.py explains their use.
 
-Optimisations of the fused pass (measured by benchmarks/bench_harris.py, each relative to the previous one): two rows
+Optimisations of the fused pass (measured by bench_harris.py, each relative to the previous one): two rows
 are processed together and share loads and half of the vertical sums. Strips of columns keep all rows in the first-level
 cache. All float rows are in one array at constant distances, so that the compiler sees that they do not overlap, and
 vectorises the loops without checks. The horizontal sums are computed directly from the 16-bit gradients. The peak test

@@ -13,14 +13,12 @@ from typing import Any
 
 import yaml
 
-from icu_common.core.configuration.text_bounds import plain
-from icu_common.core.configuration.yaml_text import UNREADABLE, Loader, mistake
+from icu_common.core.configuration.yaml_entries import LineLoader, YamlEntries
+from icu_common.core.configuration.yaml_text import UNREADABLE, mistake
 from icu_common.core.geometry.fiducial import DICTIONARIES, Fiducial, count_of
 from icu_common.core.panel.gesture import is_mark, is_name
 from icu_common.core.panel.stroke_font import text_strokes
 
-MAX_TEXT = 100
-"""Maximum number of characters of a title, a label, a name or a text on the panel."""
 CONTROL_KINDS = ("button", "knob", "touch_area", "connector")
 SHAPES = ("rectangle", "circle")
 TOLERANCE_MM = 0.2
@@ -141,20 +139,6 @@ class PanelLayout:
         raise KeyError(f"{self.model} has no control {name!r}; it has {', '.join(c.name for c in self.controls)}")
 
 
-class _LineLoader(Loader):
-    """Safe YAML that remembers on which line each mapping starts."""
-
-
-def _mapping_with_line(loader: _LineLoader, node: yaml.MappingNode) -> dict[str, Any]:
-    build = loader.construct_object
-    mapping: dict[str, Any] = {build(key, deep=True): build(value, deep=True) for key, value in node.value}
-    mapping["__line__"] = node.start_mark.line + 1
-    return mapping
-
-
-_LineLoader.add_constructor(yaml.resolver.BaseResolver.DEFAULT_MAPPING_TAG, _mapping_with_line)
-
-
 def load_layout(path: Path) -> PanelLayout:
     """Read and check a layout file.
 
@@ -176,19 +160,16 @@ def load_layout(path: Path) -> PanelLayout:
 def parse_layout(text: str, file_name: str = "layout") -> PanelLayout:
     """Check the text of a layout file; see :func:`load_layout`."""
     try:
-        document = yaml.load(text, Loader=_LineLoader)  # a SafeLoader with line numbers
+        document = yaml.load(text, Loader=LineLoader)  # a SafeLoader with line numbers
     except UNREADABLE as error:
         raise LayoutError(f"{file_name}:{mistake(error)}") from error
     if not isinstance(document, dict):
         raise LayoutError(f"{file_name}:1: a mapping with model, size_mm and controls is needed")
-    return _Reader(file_name).layout(document)
+    return _Reader(file_name, LayoutError).layout(document)
 
 
-class _Reader:
+class _Reader(YamlEntries):
     """Converts the YAML document to dataclasses, or raises one error with file and line."""
-
-    def __init__(self, file_name: str) -> None:
-        self.file_name = file_name
 
     def layout(self, document: dict[str, Any]) -> PanelLayout:
         self.known(document, {"model", "title", "size_mm", "colour", "controls", "artwork", "markers", "tolerance_mm"})
@@ -330,11 +311,6 @@ class _Reader:
             return Text(text=text, at_mm=(x, y), height_mm=height, colour=colour, line_mm=line_mm)
         raise self.error(entry, "artwork needs one of rectangle_mm, circle_mm, line_from_to_mm, text")
 
-    def one_number(
-        self, entry: dict[str, Any], key: str, default: float | None = None, *, positive: bool = False
-    ) -> float:
-        return self.numbers({**entry, key: [entry.get(key, default)]}, key, 1, positive=positive)[0]
-
     def marks(self, entry: dict[str, Any]) -> tuple[tuple[str, float], ...]:
         given = entry.get("marks_deg", {})
         if not isinstance(given, dict):
@@ -370,58 +346,6 @@ class _Reader:
         if depth >= proud_mm:
             raise self.error(given, f"depth_mm = {depth:g} is not below the knob's height_mm = {proud_mm:g}")
         return Dimple(place_mm=(x, y), diameter_mm=diameter, depth_mm=depth)
-
-    def error(self, entry: dict[str, Any], what: str) -> LayoutError:
-        return LayoutError(f"{self.file_name}:{entry.get('__line__', 1)}: {plain(what)}")
-
-    def known(self, entry: dict[str, Any], names: set[str]) -> None:
-        unknown = set(entry) - names - {"__line__"}
-        if unknown:
-            raise self.error(
-                entry, f"unknown key {', '.join(sorted(map(str, unknown)))}; known: {', '.join(sorted(names))}"
-            )
-
-    def entries(self, document: dict[str, Any], key: str) -> list[dict[str, Any]]:
-        value = document.get(key, [])
-        if not isinstance(value, list) or not all(isinstance(entry, dict) for entry in value):
-            raise self.error(document, f"{key} must be a list of mappings")
-        return value
-
-    def text(self, entry: dict[str, Any], key: str, default: str | None = None) -> str:
-        value = entry.get(key, default)
-        if not isinstance(value, str) or (default is None and not value):
-            raise self.error(entry, f"{key} = {value!r}: a text is needed (quote it)")
-        if len(value) > MAX_TEXT or not value.isprintable():
-            found = f"{key} = {value[:20]!r}..., {len(value)} characters"
-            raise self.error(entry, f"{found}: expected up to {MAX_TEXT} printable characters")
-        return value
-
-    def choice(self, entry: dict[str, Any], key: str, choices: tuple[str, ...], default: str | None = None) -> str:
-        value = self.text(entry, key, default)
-        if value not in choices:
-            raise self.error(entry, f"{key} = {value!r} is none of {', '.join(choices)}")
-        return value
-
-    def colour(self, entry: dict[str, Any], key: str, default: str) -> str:
-        value = self.text(entry, key, default)
-        if (value or default) and not (
-            len(value) == 7 and value[0] == "#" and all(c in "0123456789abcdefABCDEF" for c in value[1:])
-        ):
-            raise self.error(entry, f'{key} = {value!r}: a colour such as "#ff8800" is needed')
-        return value
-
-    def numbers(self, entry: dict[str, Any], key: str, count: int, *, positive: bool = False) -> tuple[float, ...]:
-        value = entry.get(key)
-        good = isinstance(value, list) and len(value) == count
-        if not good or not all(isinstance(v, (int, float)) and not isinstance(v, bool) for v in value or ()):
-            raise self.error(entry, f"{key} = {plain(repr(value), 60)}: {count} numbers are needed")
-        assert isinstance(value, list)
-        if any(v != v or abs(v) > 1e4 for v in value) or (positive and min(value) <= 0):
-            raise self.error(
-                entry,
-                f"{key} = {plain(repr(value), 60)}: {'positive ' if positive else ''}numbers up to 10000 are needed",
-            )
-        return tuple(float(v) for v in value)
 
 
 def marker_artwork(marker: Fiducial) -> tuple[Rectangle, ...]:

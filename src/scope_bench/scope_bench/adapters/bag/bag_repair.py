@@ -16,18 +16,9 @@ from rosbags.rosbag2.storage_mcap import DECOMPRESSORS
 from rosbags.typesys.store import Typestore
 
 from icu_common.core.configuration.yaml_text import UNREADABLE
-from scope_bench.adapters.bag.bags import (
-    READ_ERRORS,
-    ZIPPED,
-    ZSTD,
-    BagError,
-    BagTopic,
-    BagWriter,
-    message_of,
-    plain_name,
-    reason_of,
-    storage_files,
-)
+from scope_bench.adapters.bag.bag_reader import message_of, storage_files
+from scope_bench.adapters.bag.bag_writer import BagWriter
+from scope_bench.adapters.bag.bags import READ_ERRORS, ZIPPED, ZSTD, BagError, BagTopic, plain_name, reason_of
 from scope_bench.adapters.bag.definitions import describes, with_definitions
 from scope_bench.core.bag.mcap_records import whole_messages
 

@@ -8,7 +8,8 @@ from collections import Counter, deque
 from collections.abc import Callable, Iterator, Mapping
 
 from scope_bench.adapters.bag.bag_pictures import BESIDE, COMPRESSED, IMAGE, SUFFIX, PictureCodec
-from scope_bench.adapters.bag.bags import BagError, BagTopic, BagWriter
+from scope_bench.adapters.bag.bag_writer import BagWriter
+from scope_bench.adapters.bag.bags import BagError, BagTopic
 from scope_bench.core.bag.image_gate import ImageGate
 
 _LARGE = 1 << 16

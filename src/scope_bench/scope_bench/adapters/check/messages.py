@@ -7,7 +7,9 @@ from collections.abc import Collection, Mapping
 from pathlib import Path
 
 from icu_common.core.configuration.text_bounds import plain
-from scope_bench.adapters.bag.bags import BagReader, BagTopic, BagWriter
+from scope_bench.adapters.bag.bag_reader import BagReader
+from scope_bench.adapters.bag.bag_writer import BagWriter
+from scope_bench.adapters.bag.bags import BagTopic
 from scope_bench.core.check.comparison import Message, TopicMessages
 from scope_bench.core.check.values import Kind, Value, stamp_ns, values_of
 

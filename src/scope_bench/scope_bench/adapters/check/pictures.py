@@ -11,7 +11,7 @@ import numpy as np
 
 from icu_common.core.geometry.geometry import Array
 from scope_bench.adapters.bag.bag_pictures import COMPRESSED, IMAGE, PictureCodec
-from scope_bench.adapters.bag.bags import BagReader
+from scope_bench.adapters.bag.bag_reader import BagReader
 from scope_bench.core.check.comparison import Message, Row, TopicMessages
 from scope_bench.core.check.values import PIXELS, Kind, Value, columns, coordinates, stamp_ns, values_of
 

@@ -13,7 +13,9 @@ from rosbags.typesys import Stores, get_typestore
 
 from icu_common.core.configuration.yaml_text import UNREADABLE, ForeignLoader, mistake
 from scope_bench.adapters.bag.bag_pictures import COMPRESSED, IMAGE, SUFFIX
-from scope_bench.adapters.bag.bags import BagError, BagReader, BagTopic, BagWriter
+from scope_bench.adapters.bag.bag_reader import BagReader
+from scope_bench.adapters.bag.bag_writer import BagWriter
+from scope_bench.adapters.bag.bags import BagError, BagTopic
 from scope_bench.core.check.expectation import Run
 
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"

@@ -13,7 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from scope_bench.adapters.bag.bags import BagError, BagReader
+from scope_bench.adapters.bag.bag_reader import BagReader
+from scope_bench.adapters.bag.bags import BagError
 from scope_bench.export.adapters.pictures import as_file, pixels
 from scope_bench.export.adapters.reading import kinds_of
 from scope_bench.export.core.frames import Episode, episodes, held, picture_statistics, statistics

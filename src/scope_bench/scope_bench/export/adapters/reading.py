@@ -10,7 +10,8 @@ from typing import Any
 from rosbags.serde import SerdeError
 
 from scope_bench.adapters.bag.bag_pictures import COMPRESSED, IMAGE, SUFFIX
-from scope_bench.adapters.bag.bags import BagError, BagReader
+from scope_bench.adapters.bag.bag_reader import BagReader
+from scope_bench.adapters.bag.bags import BagError
 from scope_bench.export.core.session import TOPICS, Session
 
 LIBRARIES = {"pyarrow": "pyarrow>=18", "rerun": "rerun-sdk==0.41.0"}

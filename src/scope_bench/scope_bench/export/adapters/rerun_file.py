@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from icu_common.core.geometry.geometry import Transform
-from scope_bench.adapters.bag.bags import BagReader
+from scope_bench.adapters.bag.bag_reader import BagReader
 from scope_bench.export.adapters.pictures import as_file, pixels
 from scope_bench.export.adapters.reading import cameras, decoded, kinds_of
 from scope_bench.export.core.session import JOINTS, RESULT, TOPICS, TRAJECTORY

@@ -6,7 +6,7 @@ import math
 from pathlib import Path
 from typing import Any
 
-from scope_bench.adapters.bag.bags import BagReader
+from scope_bench.adapters.bag.bag_reader import BagReader
 from scope_bench.export.adapters.reading import decoded, kinds_of
 from scope_bench.export.core.session import Session
 

@@ -1,1 +1,0 @@
-"""Whether the program that lowered the stylus still attends to it; pure, no clock."""

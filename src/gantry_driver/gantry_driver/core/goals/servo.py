@@ -1,0 +1,139 @@
+"""Looks at the tip, their evaluation, and the check of a touch: values in, values out; no phases, no clock.
+
+This is separate from the state machine because the tip's error and its correction do not depend on the cause of a look.
+The procedure follows image-based look-and-move control (Hutchinson, Hager, Corke, "A tutorial on visual servo control",
+1996): move, rest, measure the tip relative to the target, correct, and only then touch.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gantry_driver.core.job.controller_config import ControllerConfig
+from gantry_driver.core.job.goal_job import Aim, Fault
+from gantry_driver.core.motion import motion_plan, targets
+from gantry_driver.core.motion.scene import Scene
+from gantry_driver.core.motion.targets import Touch
+from icu_common.core.geometry.geometry import Array, Transform
+
+FAR_NS = 2**63
+MOST_BESIDE = 2
+"""Maximum number of positions next to a target from which to look for the tip: each takes seconds, over the panel."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Look:
+    """One look at the tip.
+
+    Parameters
+    ----------
+    after_ns, until_ns
+        Stamps of the images that count: after the first, up to the second.
+    needed, kept
+        Minimum number of observations, and maximum number of the last ones that are averaged.
+    tips
+        (3,) each, in the camera's frame.
+    """
+
+    after_ns: int
+    until_ns: int = FAR_NS
+    needed: int
+    kept: int
+    tips: tuple[Array, ...] = ()
+
+    def with_tip(self, in_camera: Array, stamp_ns: int) -> Look:
+        """Return the look with one more observation, if its image counts."""
+        counts = self.after_ns < stamp_ns <= self.until_ns
+        return replace(self, tips=(*self.tips, in_camera)[-self.kept :]) if counts else self
+
+    def seen(self, base_from_camera: Transform, spread_m: float) -> Array | None:
+        """Return the tip (3,) in base_link; None while too few observations agree laterally within ``spread_m``."""
+        if len(self.tips) < self.needed:
+            return None
+        tips = base_from_camera.apply(np.array(self.tips))
+        mean: Array = tips.mean(axis=0)
+        spread = float(np.linalg.norm((tips - mean)[:, :2], axis=1).max())
+        return mean if spread <= spread_m else None
+
+    def unseen_text(self, spread_m: float) -> str:
+        """Return a text on the number of observations, and on the number required."""
+        spread_mm = 1000 * spread_m
+        return f"the tip was seen {len(self.tips)} times, {self.needed} times within {spread_mm:g} mm are needed"
+
+
+NO_LOOK = Look(after_ns=0, until_ns=0, needed=1, kept=1)
+
+
+def judge(error: Array, aim: Aim, config: ControllerConfig) -> Fault | Aim | None:
+    """Evaluate a tip seen ``error`` (3,) in base_link off its position: return a fault, or the corrected aim.
+
+    None: the error is small enough to touch.
+    """
+    sideways = float(np.linalg.norm(error[:2]))
+    if (fault := misplaced(error, config)) is not None:
+        return fault
+    if sideways <= config.tolerance_m:
+        return None
+    if aim.corrections < config.max_corrections:
+        return _corrected(error[:2], aim, config.max_correction_m)
+    if sideways <= config.max_error_m:
+        return None
+    return Fault(
+        cause=f"the seen error is {1000 * sideways:.2f} mm after {aim.corrections} corrections, "
+        f"{1000 * config.max_error_m:g} mm are allowed"
+    )
+
+
+def misplaced(error: Array, config: ControllerConfig) -> Fault | None:
+    """Return the fault of a tip seen ``error`` (3,) off its position, if that is too far for a correction."""
+    sideways = float(np.linalg.norm(error[:2]))
+    if sideways <= config.max_correction_m and abs(error[2]) <= config.max_depth_error_m:
+        return None
+    return Fault(
+        cause=f"the tip is seen {1000 * sideways:.2f} mm beside and {1000 * error[2]:+.2f} mm above its "
+        f"place, {1000 * config.max_correction_m:g} and {1000 * config.max_depth_error_m:g} mm are "
+        "allowed: calibrate again"
+    )
+
+
+def _corrected(error_xy: Array, aim: Aim, most_m: float) -> Fault | Aim:
+    corrected = aim.corrected(error_xy)
+    total = float(np.linalg.norm(aim.base_from_reading @ corrected.correction))
+    if total > most_m:
+        # The seen tip does not follow the machine, and the path is known to be clear only within this distance.
+        cause = f"the seen errors add up to a correction by {1000 * total:.2f} mm, {1000 * most_m:g} mm are allowed"
+        return Fault(cause=f"{cause}: calibrate again")
+    return corrected
+
+
+def contact_complaint(error_m: float, above_m: float, look: Look, config: ControllerConfig) -> str:
+    """Return the fault of a touch seen ``error_m`` to the side of its position and ``above_m`` above it; else empty.
+
+    NaN: not seen. A stylus that sticks, or a camera that repeats its last image, shows the tip at its hover position.
+    """
+    if math.isnan(error_m) and config.require_servo:
+        return f"touched, but not measured: {look.unseen_text(config.tip_spread_m)}"
+    if above_m > config.max_depth_error_m:
+        return (
+            f"the tip was seen {1000 * above_m:.1f} mm above the surface when it should touch, "
+            f"{1000 * config.max_depth_error_m:g} mm are allowed: does the stylus come down, is the picture new?"
+        )
+    if error_m > config.max_error_m:
+        bound = 1000 * config.max_error_m
+        return f"touched {1000 * error_m:.2f} mm beside the target, {bound:g} mm are allowed"
+    return ""
+
+
+def places_beside(touch: Touch, scene: Scene, aim: Aim, config: ControllerConfig) -> list[Array]:
+    """Return positions for a look at a tip that is not seen above the target, in front of things of the ball's colour.
+
+    For an arc there are none, because an arc is followed only from a measured position.
+    """
+    if config.beside_m == 0 or len(touch.arc):
+        return []
+    places = targets.places_beside(touch, scene, config.touch, by_m=config.beside_m, wander_m=config.wander_m())
+    reached = [p for p in places if motion_plan.reaches(aim.readings_at(p[np.newaxis]), config.motion)]
+    return reached[:MOST_BESIDE]
