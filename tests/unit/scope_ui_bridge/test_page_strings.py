@@ -36,7 +36,7 @@ def test_every_key_that_is_used_exists() -> None:
     used |= {f"call_{name}" for name in SERVICES} | {f"action_{name}" for name in SERVICES}
     used |= {f"lease_{name}" for name in LEASE_STEPS} - {"lease_decline"}
     package = PAGE.parent
-    for source in (*package.glob("core/*.py"), *package.glob("adapters/*.py")):
+    for source in (*package.glob("core/**/*.py"), *package.glob("adapters/**/*.py")):
         used |= set(re.findall(r'Refusal\("(\w+)"', source.read_text()))
         used |= set(re.findall(r'"(stopped_\w+)"', source.read_text()))
     assert used - english.keys() == set()

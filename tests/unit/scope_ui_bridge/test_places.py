@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from scope_ui_bridge.core.admission.places import KEPT_PLACES, OWN_PLACES, Places
-from scope_ui_bridge.core.refusal import Refusal
+from scope_ui_bridge.core.wire import Refusal
 
 
 def test_a_connection_beyond_the_users_limit_replaces_the_users_oldest() -> None:

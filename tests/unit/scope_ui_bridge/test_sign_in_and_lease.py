@@ -8,8 +8,8 @@ import pytest
 
 from scope_ui_bridge.core.lease import OperatorLease
 from scope_ui_bridge.core.passwords import Role, User
-from scope_ui_bridge.core.refusal import Refusal
 from scope_ui_bridge.core.sign_in import AGAIN, SignIn
+from scope_ui_bridge.core.wire import Refusal
 
 
 def sign_in() -> SignIn:

@@ -19,8 +19,8 @@ from scope_ui_bridge.core.admission.rates import (
     UserBudget,
 )
 from scope_ui_bridge.core.passwords import Role
-from scope_ui_bridge.core.refusal import Refusal
 from scope_ui_bridge.core.viewer import SHORT, Viewer
+from scope_ui_bridge.core.wire import Refusal
 
 LONG = wire.MAX_BYTES
 

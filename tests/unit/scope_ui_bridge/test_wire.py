@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from scope_ui_bridge.core import wire
-from scope_ui_bridge.core.refusal import Refusal
+from scope_ui_bridge.core.wire import Refusal
 
 HEAD = {"seq": 1, "boot": "b", "epoch": 0}
 

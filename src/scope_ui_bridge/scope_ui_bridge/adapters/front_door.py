@@ -21,8 +21,8 @@ from scope_ui_bridge.adapters.turned_away import TurnedAway
 from scope_ui_bridge.core.admission.rates import REQUESTS_BURST, REQUESTS_PER_S, Bucket, OfUsers
 from scope_ui_bridge.core.config import BridgeConfig
 from scope_ui_bridge.core.passwords import MAX_NAME, PasswordError, User, composed, hash_password, matches
-from scope_ui_bridge.core.refusal import Refusal
 from scope_ui_bridge.core.sign_in import AGAIN, Session, SignIn
+from scope_ui_bridge.core.wire import Refusal
 
 _LOG = logging.getLogger(__name__)
 COOKIE = "icu_session"

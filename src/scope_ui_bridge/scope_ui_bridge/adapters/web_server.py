@@ -56,10 +56,9 @@ from scope_ui_bridge.core.effects import (
 )
 from scope_ui_bridge.core.layers import LAYERS
 from scope_ui_bridge.core.passwords import Role
-from scope_ui_bridge.core.refusal import Refusal
 from scope_ui_bridge.core.sign_in import Session, SignIn
 from scope_ui_bridge.core.teaching import HeldPicture
-from scope_ui_bridge.core.wire import CAMERAS, decode_object, encode
+from scope_ui_bridge.core.wire import CAMERAS, Refusal, decode_object, encode
 
 _LOG = logging.getLogger(__name__)
 _TICK_S = 0.05

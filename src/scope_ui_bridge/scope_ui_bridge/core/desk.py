@@ -47,7 +47,6 @@ from scope_ui_bridge.core.panel_view import PanelView
 from scope_ui_bridge.core.parameters.changes import ParameterChanges
 from scope_ui_bridge.core.passwords import Role
 from scope_ui_bridge.core.recordings import Recordings
-from scope_ui_bridge.core.refusal import Refusal
 from scope_ui_bridge.core.scene import Scene
 from scope_ui_bridge.core.selection import (
     Selection,
@@ -61,6 +60,7 @@ from scope_ui_bridge.core.sequencing import SequenceView
 from scope_ui_bridge.core.stop_cause import StopCauses
 from scope_ui_bridge.core.teaching import HeldPicture, teaching_text
 from scope_ui_bridge.core.viewer import FLOODING, SHORT, Viewer
+from scope_ui_bridge.core.wire import Refusal
 
 HEARTBEAT_PERIOD_S = 0.1
 """Seconds between heartbeats.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from scope_ui_bridge.core.refusal import Refusal
+from scope_ui_bridge.core.wire import Refusal
 
 
 class OperatorLease:

@@ -10,7 +10,7 @@ from icu_common.core.geometry.geometry import Transform
 from scope_ui_bridge.core import wire
 from scope_ui_bridge.core.config import BridgeConfig
 from scope_ui_bridge.core.effects import Now
-from scope_ui_bridge.core.refusal import Refusal
+from scope_ui_bridge.core.wire import Refusal
 
 _MOST_AHEAD_S = 0.1
 _POSITION_LIFE_S = 1.0

@@ -12,7 +12,7 @@ from icu_common.core.goals.sequence import Sequence, SequenceError, parse_steps,
 from icu_common.core.panel.gesture import parse_gesture
 from icu_common.core.panel.panel_state import PanelSeen
 from scope_ui_bridge.core import wire
-from scope_ui_bridge.core.refusal import Refusal
+from scope_ui_bridge.core.wire import Refusal
 
 _STATE = re.compile(r"step (\d+)/(\d+): ")
 

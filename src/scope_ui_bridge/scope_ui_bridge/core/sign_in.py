@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 
 from scope_ui_bridge.core.admission.rates import Bucket, OfUsers
 from scope_ui_bridge.core.passwords import Role, User
-from scope_ui_bridge.core.refusal import Refusal
+from scope_ui_bridge.core.wire import Refusal
 
 _MAX_FAILURES = 1024
 _MAX_SESSIONS = 256

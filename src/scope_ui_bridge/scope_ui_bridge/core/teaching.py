@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from icu_common.core.panel.panel_layout import CONTROL_KINDS
 from scope_ui_bridge.core import wire
-from scope_ui_bridge.core.refusal import Refusal
+from scope_ui_bridge.core.wire import Refusal
 
 SIZE_MM = (20.0, 2000.0)
 PROUD_MM = (0.0, 100.0)

@@ -9,7 +9,7 @@ from scope_ui_bridge.core import wire
 from scope_ui_bridge.core.admission import rates
 from scope_ui_bridge.core.admission.rates import Bucket, UserBudget
 from scope_ui_bridge.core.passwords import Role
-from scope_ui_bridge.core.refusal import Refusal
+from scope_ui_bridge.core.wire import Refusal
 
 _TELL_RATE_EVERY_S = 1.0
 SHORT = 2048
