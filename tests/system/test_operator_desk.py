@@ -25,7 +25,7 @@ from system.operator_browser import Operator
 from system.test_operator_page import Instrument
 
 from scope_ui_bridge.adapters.secret_files import write_secret
-from scope_ui_bridge.core.passwords import new_user
+from scope_ui_bridge.core.access import new_user
 
 AXE = Path(axe_playwright_python.__file__).parent / "axe.min.js"
 WCAG = ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "wcag22aa", "best-practice"]

@@ -17,6 +17,7 @@ from icu_common.core.goals.results import GoalResult, Outcome
 from icu_common.core.panel.gesture import Gesture, Point, parse_gesture
 from icu_common.core.processes.delays import ResultCode
 from scope_ui_bridge.core import wire
+from scope_ui_bridge.core.access import SHORT, Role
 from scope_ui_bridge.core.config import BridgeConfig
 from scope_ui_bridge.core.effects import (
     Broadcast,
@@ -32,8 +33,6 @@ from scope_ui_bridge.core.effects import (
     StopNow,
 )
 from scope_ui_bridge.core.machine_view import split_state
-from scope_ui_bridge.core.passwords import Role
-from scope_ui_bridge.core.viewer import SHORT
 
 # --- from click to command ---
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from scope_ui_bridge.adapters.secret_files import read_users, write_secret
-from scope_ui_bridge.core.passwords import PasswordError, Role, hash_password, matches, new_user, parse_users
+from scope_ui_bridge.core.access import PasswordError, Role, hash_password, matches, new_user, parse_users
 
 GOOD = hash_password("correct horse", b"0123456789abcdef")
 

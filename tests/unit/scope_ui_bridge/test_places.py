@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from scope_ui_bridge.core.admission.places import KEPT_PLACES, OWN_PLACES, Places
+from scope_ui_bridge.core.admission import KEPT_PLACES, OWN_PLACES, Places
 from scope_ui_bridge.core.wire import Refusal
 
 

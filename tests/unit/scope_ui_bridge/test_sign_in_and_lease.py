@@ -6,9 +6,8 @@ import itertools
 
 import pytest
 
+from scope_ui_bridge.core.access import AGAIN, Role, SignIn, User
 from scope_ui_bridge.core.lease import OperatorLease
-from scope_ui_bridge.core.passwords import Role, User
-from scope_ui_bridge.core.sign_in import AGAIN, SignIn
 from scope_ui_bridge.core.wire import Refusal
 
 

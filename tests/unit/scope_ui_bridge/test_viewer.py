@@ -5,7 +5,8 @@ from __future__ import annotations
 import pytest
 
 from scope_ui_bridge.core import wire
-from scope_ui_bridge.core.admission.rates import (
+from scope_ui_bridge.core.access import SHORT, Role, Viewer
+from scope_ui_bridge.core.admission import (
     BURST,
     BURST_BYTES,
     BYTES_PER_S,
@@ -18,8 +19,6 @@ from scope_ui_bridge.core.admission.rates import (
     OfUsers,
     UserBudget,
 )
-from scope_ui_bridge.core.passwords import Role
-from scope_ui_bridge.core.viewer import SHORT, Viewer
 from scope_ui_bridge.core.wire import Refusal
 
 LONG = wire.MAX_BYTES

@@ -18,10 +18,19 @@ from icu_common.core.configuration.text_bounds import plain
 from scope_ui_bridge.adapters.listener import NOBODY, Listener, Turnstile
 from scope_ui_bridge.adapters.secret_files import read_users
 from scope_ui_bridge.adapters.turned_away import TurnedAway
-from scope_ui_bridge.core.admission.rates import REQUESTS_BURST, REQUESTS_PER_S, Bucket, OfUsers
+from scope_ui_bridge.core.access import (
+    AGAIN,
+    MAX_NAME,
+    PasswordError,
+    Session,
+    SignIn,
+    User,
+    composed,
+    hash_password,
+    matches,
+)
+from scope_ui_bridge.core.admission import REQUESTS_BURST, REQUESTS_PER_S, Bucket, OfUsers
 from scope_ui_bridge.core.config import BridgeConfig
-from scope_ui_bridge.core.passwords import MAX_NAME, PasswordError, User, composed, hash_password, matches
-from scope_ui_bridge.core.sign_in import AGAIN, Session, SignIn
 from scope_ui_bridge.core.wire import Refusal
 
 _LOG = logging.getLogger(__name__)

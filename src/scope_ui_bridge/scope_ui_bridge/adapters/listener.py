@@ -18,7 +18,7 @@ from collections import Counter, deque
 from collections.abc import Callable
 from typing import Any, cast
 
-from scope_ui_bridge.core.admission.rates import Bucket, OfUsers
+from scope_ui_bridge.core.admission import Bucket, OfUsers
 
 _LOG = logging.getLogger(__name__)
 MAX_CONNECTIONS = 256

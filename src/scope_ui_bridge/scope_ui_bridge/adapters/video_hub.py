@@ -20,7 +20,7 @@ from typing import Any
 from aiohttp import web
 
 from scope_ui_bridge.adapters.jpeg_encoder import Picture
-from scope_ui_bridge.core.admission.rates import PICTURES_BURST, PICTURES_PER_S, Bucket
+from scope_ui_bridge.core.admission import PICTURES_BURST, PICTURES_PER_S, Bucket
 from scope_ui_bridge.core.desk import Desk
 from scope_ui_bridge.core.frame_window import FORMS, Form, FrameWindow
 from scope_ui_bridge.core.wire import CAMERAS, encode

@@ -32,8 +32,17 @@ from scope_ui_bridge.adapters.stop_path import StopPath
 from scope_ui_bridge.adapters.turned_away import SUSPECT
 from scope_ui_bridge.adapters.video_hub import VideoHub, VideoViewer
 from scope_ui_bridge.adapters.websockets import close, receive, send_all, throw_out, until_gone
-from scope_ui_bridge.core.admission.places import OWN_PLACES, Places
-from scope_ui_bridge.core.admission.rates import OPENED_BURST, OPENED_PER_S, PINGS_BURST, PINGS_PER_S, Bucket, OfUsers
+from scope_ui_bridge.core.access import Role, Session, SignIn
+from scope_ui_bridge.core.admission import (
+    OPENED_BURST,
+    OPENED_PER_S,
+    OWN_PLACES,
+    PINGS_BURST,
+    PINGS_PER_S,
+    Bucket,
+    OfUsers,
+    Places,
+)
 from scope_ui_bridge.core.config import BridgeConfig
 from scope_ui_bridge.core.desk import Desk
 from scope_ui_bridge.core.effects import (
@@ -55,8 +64,6 @@ from scope_ui_bridge.core.effects import (
     StopNow,
 )
 from scope_ui_bridge.core.layers import LAYERS
-from scope_ui_bridge.core.passwords import Role
-from scope_ui_bridge.core.sign_in import Session, SignIn
 from scope_ui_bridge.core.teaching import HeldPicture
 from scope_ui_bridge.core.wire import CAMERAS, Refusal, decode_object, encode
 

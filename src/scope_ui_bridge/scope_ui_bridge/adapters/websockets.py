@@ -9,7 +9,7 @@ from collections.abc import Awaitable
 
 from aiohttp import WSCloseCode, WSMessage, WSMsgType, web
 
-from scope_ui_bridge.core.admission.rates import Bucket
+from scope_ui_bridge.core.admission import Bucket
 
 LOOK_S = 1.0
 """Maximum seconds between checks that a connection's user is still signed in and may receive messages."""

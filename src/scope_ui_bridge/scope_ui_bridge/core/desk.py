@@ -18,8 +18,8 @@ from icu_common.core.goals.results import GoalResult, Outcome
 from icu_common.core.panel.gesture import Point
 from icu_common.core.processes.delays import ResultCode
 from scope_ui_bridge.core import command_log, wire
-from scope_ui_bridge.core.admission.places import KEPT_PLACES
-from scope_ui_bridge.core.admission.rates import OfUsers, UserBudget
+from scope_ui_bridge.core.access import FLOODING, SHORT, Role, Viewer
+from scope_ui_bridge.core.admission import KEPT_PLACES, OfUsers, UserBudget
 from scope_ui_bridge.core.command_log import CommandLog, LogEntry, record, shown
 from scope_ui_bridge.core.config import BridgeConfig
 from scope_ui_bridge.core.effects import (
@@ -45,7 +45,6 @@ from scope_ui_bridge.core.lease import OperatorLease
 from scope_ui_bridge.core.machine_view import MachineView
 from scope_ui_bridge.core.panel_view import PanelView
 from scope_ui_bridge.core.parameters.changes import ParameterChanges
-from scope_ui_bridge.core.passwords import Role
 from scope_ui_bridge.core.recordings import Recordings
 from scope_ui_bridge.core.scene import Scene
 from scope_ui_bridge.core.selection import (
@@ -59,7 +58,6 @@ from scope_ui_bridge.core.selection import (
 from scope_ui_bridge.core.sequencing import SequenceView
 from scope_ui_bridge.core.stop_cause import StopCauses
 from scope_ui_bridge.core.teaching import HeldPicture, teaching_text
-from scope_ui_bridge.core.viewer import FLOODING, SHORT, Viewer
 from scope_ui_bridge.core.wire import Refusal
 
 HEARTBEAT_PERIOD_S = 0.1

@@ -6,9 +6,17 @@ import math
 from dataclasses import dataclass, field
 
 from scope_ui_bridge.core import wire
-from scope_ui_bridge.core.admission import rates
-from scope_ui_bridge.core.admission.rates import Bucket, UserBudget
-from scope_ui_bridge.core.passwords import Role
+from scope_ui_bridge.core.access.passwords import Role
+from scope_ui_bridge.core.admission import (
+    BURST,
+    DROPPED_BURST,
+    DROPPED_PER_S,
+    MESSAGES_PER_S,
+    STOP_BURST,
+    STOPS_PER_S,
+    Bucket,
+    UserBudget,
+)
 from scope_ui_bridge.core.wire import Refusal
 
 _TELL_RATE_EVERY_S = 1.0
@@ -29,9 +37,9 @@ class Viewer:
     _last_seq: int = -1
     _stopped_seq: int = -1
     _told_rate_s: float = -math.inf
-    _messages: Bucket = field(default_factory=lambda: Bucket(rates.MESSAGES_PER_S, rates.BURST))
-    _stops: Bucket = field(default_factory=lambda: Bucket(rates.STOPS_PER_S, rates.STOP_BURST))
-    _dropped: Bucket = field(default_factory=lambda: Bucket(rates.DROPPED_PER_S, rates.DROPPED_BURST))
+    _messages: Bucket = field(default_factory=lambda: Bucket(MESSAGES_PER_S, BURST))
+    _stops: Bucket = field(default_factory=lambda: Bucket(STOPS_PER_S, STOP_BURST))
+    _dropped: Bucket = field(default_factory=lambda: Bucket(DROPPED_PER_S, DROPPED_BURST))
 
     def need(self, role: Role) -> None:
         """Refuse (``role_needed``) unless the page's role includes ``role``."""
@@ -56,7 +64,7 @@ class Viewer:
             raise Refusal("oversized", size=size, limit=longest)
         if within and self.user.size.take(now_s, size):
             return
-        raise Refusal("rate_limited" if self._dropped.take(now_s) else FLOODING, limit=rates.MESSAGES_PER_S)
+        raise Refusal("rate_limited" if self._dropped.take(now_s) else FLOODING, limit=MESSAGES_PER_S)
 
     def admit(self, message: wire.Message, boot_id: str) -> None:
         """Refuse a message for another run of the server (``old_boot``), or a repeated one (``replayed``)."""

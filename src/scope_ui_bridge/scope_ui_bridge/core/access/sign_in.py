@@ -12,8 +12,8 @@ from collections import Counter, OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-from scope_ui_bridge.core.admission.rates import Bucket, OfUsers
-from scope_ui_bridge.core.passwords import Role, User
+from scope_ui_bridge.core.access.passwords import Role, User
+from scope_ui_bridge.core.admission import Bucket, OfUsers
 from scope_ui_bridge.core.wire import Refusal
 
 _MAX_FAILURES = 1024
