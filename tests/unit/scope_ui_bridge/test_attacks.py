@@ -13,7 +13,7 @@ import pytest
 from unit.scope_ui_bridge.web_rig import WITHIN_S, Page, Rig, page, until, with_rig
 
 from scope_ui_bridge.adapters.secret_files import AuditFile
-from scope_ui_bridge.core.audit import verify
+from scope_ui_bridge.core.records import verify
 
 Attack = Callable[[Rig, Page], Awaitable[None]]
 

@@ -23,7 +23,7 @@ from unit.scope_ui_bridge.web_rig import Page, Rig, page, with_rig
 
 from scope_ui_bridge.adapters.secret_files import AuditFile, write_secret
 from scope_ui_bridge.core.access import new_user
-from scope_ui_bridge.core.audit import verify
+from scope_ui_bridge.core.records import verify
 
 STOPS = 25
 MEDIAN_S, LONGEST_S = 0.05, 0.2

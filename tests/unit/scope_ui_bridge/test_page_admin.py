@@ -21,8 +21,8 @@ from unit.scope_ui_bridge.web_rig import WITHIN_S, Rig, with_rig
 from scope_ui_bridge.adapters.secret_files import AuditFile, read_users
 from scope_ui_bridge.cli import page_admin
 from scope_ui_bridge.core.access import Role, matches
-from scope_ui_bridge.core.audit import AuditError, Gap
 from scope_ui_bridge.core.config import BridgeConfig
+from scope_ui_bridge.core.records import AuditError, Gap
 
 
 def test_a_password_is_set_changed_and_removed(

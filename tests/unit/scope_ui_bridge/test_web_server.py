@@ -21,8 +21,8 @@ from icu_common.core.goals.results import GoalResult, Outcome
 from scope_ui_bridge.adapters.front_door import COOKIE, PAGE
 from scope_ui_bridge.adapters.secret_files import AuditFile
 from scope_ui_bridge.core import desk
-from scope_ui_bridge.core.audit import verify
 from scope_ui_bridge.core.effects import Broadcast, Now
+from scope_ui_bridge.core.records import verify
 
 NOW = Now(mono_s=0.0, ros_ns=0, wall_s=0.0)
 

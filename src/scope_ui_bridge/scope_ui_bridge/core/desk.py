@@ -17,10 +17,9 @@ from icu_common.core.geometry.geometry import Array
 from icu_common.core.goals.results import GoalResult, Outcome
 from icu_common.core.panel.gesture import Point
 from icu_common.core.processes.delays import ResultCode
-from scope_ui_bridge.core import command_log, wire
+from scope_ui_bridge.core import wire
 from scope_ui_bridge.core.access import FLOODING, SHORT, Role, Viewer
 from scope_ui_bridge.core.admission import KEPT_PLACES, OfUsers, UserBudget
-from scope_ui_bridge.core.command_log import CommandLog, LogEntry, record, shown
 from scope_ui_bridge.core.config import BridgeConfig
 from scope_ui_bridge.core.effects import (
     Broadcast,
@@ -44,8 +43,8 @@ from scope_ui_bridge.core.jog import HeldJog
 from scope_ui_bridge.core.lease import OperatorLease
 from scope_ui_bridge.core.machine_view import MachineView
 from scope_ui_bridge.core.panel_view import PanelView
-from scope_ui_bridge.core.parameters.changes import ParameterChanges
 from scope_ui_bridge.core.recordings import Recordings
+from scope_ui_bridge.core.records import CommandLog, LogEntry, ParameterChanges, record, result_record, shown
 from scope_ui_bridge.core.scene import Scene
 from scope_ui_bridge.core.selection import (
     Selection,
@@ -649,7 +648,7 @@ class Desk:
             self._jog = None
         self.sequence.ended(entry.goal_id, "failed", reason)
         changed = self._log.update(entry, status="failed", reason=reason)
-        return [shown(changed), command_log.result_record(changed, now)]
+        return [shown(changed), result_record(changed, now)]
 
     def service_answered(self, number: int, success: bool, text: str, now: Now) -> list[Effect]:
         """Process the answer of a service to log entry ``number``, or of the driver to a stop."""
@@ -658,13 +657,13 @@ class Desk:
             return []
         refused = "failed" if entry.action == "stop" else "rejected"  # a stop is never refused
         changed = self._log.update(entry, status="done" if success else refused, reason=text)
-        return [shown(changed), command_log.result_record(changed, now)]
+        return [shown(changed), result_record(changed, now)]
 
     def recording_ended(self, success: bool, text: str, now: Now) -> list[Effect]:
         """Record that a recording has ended by itself."""
         entry = self._log.add(_RECORDER, "end_record", "", now, status="done" if success else "failed")
         changed = self._log.update(entry, reason=text)
-        return [shown(changed), command_log.result_record(changed, now)]
+        return [shown(changed), result_record(changed, now)]
 
     def result(self, result: GoalResult, now: Now) -> list[Effect]:
         """Process a result of the controller, for a command from here or from another client."""

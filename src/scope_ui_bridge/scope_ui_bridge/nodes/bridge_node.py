@@ -68,11 +68,11 @@ from scope_ui_bridge.adapters.graph_port import GraphError
 from scope_ui_bridge.adapters.secret_files import AuditFile, write_secret
 from scope_ui_bridge.adapters.web_server import WebServer
 from scope_ui_bridge.core.access import Role, SignIn
-from scope_ui_bridge.core.audit import AuditError
 from scope_ui_bridge.core.config import BridgeConfig
 from scope_ui_bridge.core.desk import Desk
 from scope_ui_bridge.core.layers import CORNERS, EDGES
 from scope_ui_bridge.core.liveness import Condition, LivenessMonitor, Sender, judge
+from scope_ui_bridge.core.records import AuditError
 from scope_ui_bridge.core.scene import Face, labels_of
 from scope_ui_bridge.core.sequencing import stored_name
 

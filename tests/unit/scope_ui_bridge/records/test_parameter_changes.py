@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from scope_ui_bridge.core.command_log import CommandLog
 from scope_ui_bridge.core.effects import Broadcast, Now, Record
-from scope_ui_bridge.core.parameters.changes import MOST, WITHIN_S, ParameterChanges
+from scope_ui_bridge.core.records import CommandLog, ParameterChanges
+from scope_ui_bridge.core.records.parameter_changes import MOST, WITHIN_S
 
 
 def at(seconds: float) -> Now:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections import deque
 
-from scope_ui_bridge.core.command_log import CommandLog, record, shown
 from scope_ui_bridge.core.effects import Effect, Now, Record
+from scope_ui_bridge.core.records.command_log import CommandLog, record, shown
 
 MOST, WITHIN_S = 20, 10.0
 """Maximum number of changes shown within this time; the next one shown counts the omitted ones."""
