@@ -32,7 +32,7 @@ from scope_ui_bridge.core.effects import (
     SendGoal,
     StopNow,
 )
-from scope_ui_bridge.core.machine_view import split_state
+from scope_ui_bridge.core.status import split_state
 
 # --- from click to command ---
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from scope_ui_bridge.core.liveness import Change, Condition, LivenessMonitor, Sender, judge
+from scope_ui_bridge.core.status import Change, Condition, LivenessMonitor, Sender, judge
 
 
 class Monitored:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from scope_ui_bridge.core.recordings import Recordings
+from scope_ui_bridge.core.status import Recordings
 
 
 def test_a_recorder_of_the_graph_counts_from_when_it_was_first_seen() -> None:

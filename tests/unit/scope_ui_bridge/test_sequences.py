@@ -13,7 +13,7 @@ from icu_common.core.goals.results import GoalResult, Outcome
 from icu_common.core.goals.sequence import SequenceError, parse_file, parse_steps
 from icu_common.core.panel.panel_state import ControlSeen, PanelSeen
 from scope_ui_bridge.core.effects import Broadcast, Effect, SendCommand, SendSequence, StopNow
-from scope_ui_bridge.core.sequencing import stored_name
+from scope_ui_bridge.core.status import stored_name
 
 STEPS = ["press:RUN_STOP => effect", "turn:CH1_SCALE:30", "press:RUN_STOP"]
 

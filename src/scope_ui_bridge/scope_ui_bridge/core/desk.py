@@ -41,9 +41,6 @@ from scope_ui_bridge.core.effects import (
 )
 from scope_ui_bridge.core.jog import HeldJog
 from scope_ui_bridge.core.lease import OperatorLease
-from scope_ui_bridge.core.machine_view import MachineView
-from scope_ui_bridge.core.panel_view import PanelView
-from scope_ui_bridge.core.recordings import Recordings
 from scope_ui_bridge.core.records import CommandLog, LogEntry, ParameterChanges, record, result_record, shown
 from scope_ui_bridge.core.scene import Scene
 from scope_ui_bridge.core.selection import (
@@ -54,7 +51,7 @@ from scope_ui_bridge.core.selection import (
     make_selection,
     result_words,
 )
-from scope_ui_bridge.core.sequencing import SequenceView
+from scope_ui_bridge.core.status import MachineView, PanelView, Recordings, SequenceView
 from scope_ui_bridge.core.stop_cause import StopCauses
 from scope_ui_bridge.core.teaching import HeldPicture, teaching_text
 from scope_ui_bridge.core.wire import Refusal
