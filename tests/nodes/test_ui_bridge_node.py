@@ -49,8 +49,8 @@ from icu_common.nodes.messages.joints import joint_message, trajectory_message
 from icu_common.nodes.messages.panels import controls_message, panel_state_message
 from icu_common.nodes.messages.places import point_message, pose_message, transform_message
 from icu_common.nodes.messages.results import result_message
-from scope_ui_bridge.core import stop_cause
 from scope_ui_bridge.core.config import BridgeConfig
+from scope_ui_bridge.core.control import stop_cause
 from scope_ui_bridge.nodes import foxglove_sidecar
 from scope_ui_bridge.nodes.bridge_node import BridgeNode
 

@@ -7,7 +7,7 @@ import itertools
 import pytest
 
 from scope_ui_bridge.core.access import AGAIN, Role, SignIn, User
-from scope_ui_bridge.core.lease import OperatorLease
+from scope_ui_bridge.core.control import OperatorLease
 from scope_ui_bridge.core.wire import Refusal
 
 

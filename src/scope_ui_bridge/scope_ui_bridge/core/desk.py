@@ -21,6 +21,7 @@ from scope_ui_bridge.core import wire
 from scope_ui_bridge.core.access import FLOODING, SHORT, Role, Viewer
 from scope_ui_bridge.core.admission import KEPT_PLACES, OfUsers, UserBudget
 from scope_ui_bridge.core.config import BridgeConfig
+from scope_ui_bridge.core.control import HeldJog, OperatorLease, StopCauses
 from scope_ui_bridge.core.effects import (
     Broadcast,
     CallService,
@@ -39,8 +40,6 @@ from scope_ui_bridge.core.effects import (
     SendTeaching,
     StopNow,
 )
-from scope_ui_bridge.core.jog import HeldJog
-from scope_ui_bridge.core.lease import OperatorLease
 from scope_ui_bridge.core.records import CommandLog, LogEntry, ParameterChanges, record, result_record, shown
 from scope_ui_bridge.core.scene import Scene
 from scope_ui_bridge.core.selection import (
@@ -52,7 +51,6 @@ from scope_ui_bridge.core.selection import (
     result_words,
 )
 from scope_ui_bridge.core.status import MachineView, PanelView, Recordings, SequenceView
-from scope_ui_bridge.core.stop_cause import StopCauses
 from scope_ui_bridge.core.teaching import HeldPicture, teaching_text
 from scope_ui_bridge.core.wire import Refusal
 
