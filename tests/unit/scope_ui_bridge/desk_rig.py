@@ -14,7 +14,7 @@ from icu_common.core.goals.results import GoalResult, Outcome
 from scope_ui_bridge.core.config import BridgeConfig
 from scope_ui_bridge.core.desk import Desk
 from scope_ui_bridge.core.effects import Broadcast, Effect, Now, Send
-from scope_ui_bridge.core.scene import Face, Scene
+from scope_ui_bridge.core.video import Face, Scene
 
 START_NS = 1_700_000_000_000_000_000
 BOOT = "boot-1"

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from scope_ui_bridge.core.frame_window import FORMS, FrameWindow
+from scope_ui_bridge.core.video import FORMS, FrameWindow
 
 FULL_BYTES = 77_000
 """A picture of the bench at quality 80, 1280 x 720."""

@@ -27,8 +27,8 @@ from scope_ui_bridge.adapters import front_door, listener, video_hub
 from scope_ui_bridge.adapters.secret_files import AuditFile, read_users, write_secret
 from scope_ui_bridge.cli import page_admin
 from scope_ui_bridge.core.access import Role, hash_password, matches, new_user, sign_in
-from scope_ui_bridge.core.frame_window import FrameWindow
 from scope_ui_bridge.core.records import verify
+from scope_ui_bridge.core.video import FrameWindow
 
 
 def records(path: Path) -> list[dict[str, Any]]:

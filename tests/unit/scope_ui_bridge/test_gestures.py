@@ -12,7 +12,7 @@ from icu_common.core.geometry.frames import PANEL
 from icu_common.core.panel.gesture import parse_gesture
 from icu_common.core.panel.panel_state import ControlSeen, PanelSeen
 from scope_ui_bridge.core.effects import Broadcast, SendCommand
-from scope_ui_bridge.core.scene import Face
+from scope_ui_bridge.core.video import Face
 
 SCREEN = Face(
     name="SCREEN", kind="touch_area", label="Screen", circle=False, centre=(0.1, 0.0825, 0.004), size=(0.17, 0.1)

@@ -17,7 +17,7 @@ from deadlines import wait_until
 from unit.scope_ui_bridge.web_rig import WITHIN_S, Rig, page, until, with_rig
 
 from scope_ui_bridge.adapters.jpeg_encoder import JpegEncoder, to_jpeg
-from scope_ui_bridge.core.frame_window import FORMS
+from scope_ui_bridge.core.video import FORMS
 
 SEED = 5
 IN_REAL_TIME = """

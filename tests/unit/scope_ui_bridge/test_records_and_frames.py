@@ -17,8 +17,8 @@ import pytest
 
 from scope_ui_bridge.adapters.mailbox import Mailbox
 from scope_ui_bridge.adapters.secret_files import AuditFile, write_secret
-from scope_ui_bridge.core.frame_window import FrameWindow
 from scope_ui_bridge.core.records import START, AuditError, verify
+from scope_ui_bridge.core.video import FrameWindow
 
 
 def lines(path: Path) -> list[str]:

@@ -12,7 +12,7 @@ from unit.scope_ui_bridge.desk_rig import FACES, Rig, pose, scene
 from icu_common.core.configuration.config import ConfigError
 from icu_common.core.geometry.geometry import Transform
 from scope_ui_bridge.core.config import BridgeConfig
-from scope_ui_bridge.core.scene import Scene, labels_of
+from scope_ui_bridge.core.video import Scene, labels_of
 
 ROOT = Path(__file__).resolve().parents[3]
 

@@ -21,7 +21,7 @@ import numpy as np
 import numpy.typing as npt
 
 from icu_common.adapters.real_time import give_up_real_time
-from scope_ui_bridge.core.frame_window import FORMS, Form
+from scope_ui_bridge.core.video import FORMS, Form
 
 _CONVERSIONS = {"rgb8": cv2.COLOR_RGB2BGR, "rgba8": cv2.COLOR_RGBA2BGR, "bgra8": cv2.COLOR_BGRA2BGR}
 

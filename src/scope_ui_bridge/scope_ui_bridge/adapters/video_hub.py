@@ -22,7 +22,7 @@ from aiohttp import web
 from scope_ui_bridge.adapters.jpeg_encoder import Picture
 from scope_ui_bridge.core.admission import PICTURES_BURST, PICTURES_PER_S, Bucket
 from scope_ui_bridge.core.desk import Desk
-from scope_ui_bridge.core.frame_window import FORMS, Form, FrameWindow
+from scope_ui_bridge.core.video import FORMS, Form, FrameWindow
 from scope_ui_bridge.core.wire import CAMERAS, encode
 
 _LOG = logging.getLogger(__name__)

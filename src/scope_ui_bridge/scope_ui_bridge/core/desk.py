@@ -41,7 +41,6 @@ from scope_ui_bridge.core.effects import (
     StopNow,
 )
 from scope_ui_bridge.core.records import CommandLog, LogEntry, ParameterChanges, record, result_record, shown
-from scope_ui_bridge.core.scene import Scene
 from scope_ui_bridge.core.selection import (
     Selection,
     action_text,
@@ -52,6 +51,7 @@ from scope_ui_bridge.core.selection import (
 )
 from scope_ui_bridge.core.status import MachineView, PanelView, Recordings, SequenceView
 from scope_ui_bridge.core.teaching import HeldPicture, teaching_text
+from scope_ui_bridge.core.video import Scene
 from scope_ui_bridge.core.wire import Refusal
 
 HEARTBEAT_PERIOD_S = 0.1

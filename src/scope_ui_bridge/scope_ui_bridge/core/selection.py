@@ -16,7 +16,7 @@ from icu_common.core.goals.results import GoalResult
 from icu_common.core.panel.gesture import Gesture, GestureError, Point, parse_gesture
 from icu_common.core.panel.panel_state import ControlSeen, PanelSeen
 from scope_ui_bridge.core import wire
-from scope_ui_bridge.core.scene import Face, Scene, moved_m
+from scope_ui_bridge.core.video import Face, Scene, moved_m
 from scope_ui_bridge.core.wire import Refusal
 
 _TOUCHES = ("press", "double", "long", "hold")

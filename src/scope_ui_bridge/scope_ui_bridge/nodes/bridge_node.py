@@ -70,10 +70,9 @@ from scope_ui_bridge.adapters.web_server import WebServer
 from scope_ui_bridge.core.access import Role, SignIn
 from scope_ui_bridge.core.config import BridgeConfig
 from scope_ui_bridge.core.desk import Desk
-from scope_ui_bridge.core.layers import CORNERS, EDGES
 from scope_ui_bridge.core.records import AuditError
-from scope_ui_bridge.core.scene import Face, labels_of
 from scope_ui_bridge.core.status import Condition, LivenessMonitor, Sender, judge, stored_name
+from scope_ui_bridge.core.video import CORNERS, EDGES, Face, labels_of
 
 _SERVICES = {
     "home": "gantry/home",

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from icu_common.core.geometry import frames
 from icu_common.core.geometry.camera_model import CameraModel, StereoModel
 from icu_common.core.geometry.geometry import Array, Plane, Transform
-from scope_ui_bridge.core.layers import Layers
+from scope_ui_bridge.core.video.layers import Layers
 
 _EDGE_POINTS = 8  # per edge of the panel, so that lens distortion shows
 _CIRCLE_POINTS = 24
