@@ -14,7 +14,7 @@ from unit.scope_ui_bridge.desk_rig import Rig, answer, logged, of_type, refusal
 from icu_common.core.goals.results import GoalResult, Outcome
 from scope_ui_bridge.core.access import Role, SignIn
 from scope_ui_bridge.core.effects import Broadcast, Effect, HoldPicture, Record, Send, SendTeaching
-from scope_ui_bridge.core.teaching import HeldPicture
+from scope_ui_bridge.core.orders import HeldPicture
 
 STAMP = 1_795_225_165_871_340_849
 GOOD: dict[str, Any] = {

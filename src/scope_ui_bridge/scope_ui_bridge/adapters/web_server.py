@@ -63,7 +63,7 @@ from scope_ui_bridge.core.effects import (
     SendTeaching,
     StopNow,
 )
-from scope_ui_bridge.core.teaching import HeldPicture
+from scope_ui_bridge.core.orders import HeldPicture
 from scope_ui_bridge.core.video import LAYERS
 from scope_ui_bridge.core.wire import CAMERAS, Refusal, decode_object, encode
 

@@ -40,17 +40,18 @@ from scope_ui_bridge.core.effects import (
     SendTeaching,
     StopNow,
 )
-from scope_ui_bridge.core.records import CommandLog, LogEntry, ParameterChanges, record, result_record, shown
-from scope_ui_bridge.core.selection import (
+from scope_ui_bridge.core.orders import (
+    HeldPicture,
     Selection,
     action_text,
     goal_words,
     make_gesture,
     make_selection,
     result_words,
+    teaching_text,
 )
+from scope_ui_bridge.core.records import CommandLog, LogEntry, ParameterChanges, record, result_record, shown
 from scope_ui_bridge.core.status import MachineView, PanelView, Recordings, SequenceView
-from scope_ui_bridge.core.teaching import HeldPicture, teaching_text
 from scope_ui_bridge.core.video import Scene
 from scope_ui_bridge.core.wire import Refusal
 
