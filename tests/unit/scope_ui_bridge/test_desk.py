@@ -51,7 +51,7 @@ def test_a_control_is_selected_then_pressed_and_its_result_is_shown() -> None:
     assert rig.desk.still_wanted(command, rig.now)
     assert logged(effects)[0]["status"] == "sent"
     done = GoalResult(goal_id=gesture.id, goal="", outcome=Outcome.ACCEPTED)
-    assert logged(rig.desk.result(done, rig.now))[0]["status"] == "accepted"
+    assert logged(rig.desk.answers.result(done, rig.now))[0]["status"] == "accepted"
     done = GoalResult(
         goal_id=gesture.id,
         goal="",
@@ -60,7 +60,7 @@ def test_a_control_is_selected_then_pressed_and_its_result_is_shown() -> None:
         duration_s=3.456,
         details=(("error_95_m", "0.000310"),),
     )
-    effects = rig.desk.result(done, rig.now)
+    effects = rig.desk.answers.result(done, rig.now)
     entry = logged(effects)[0]
     assert entry["bound_mm"] == of_type(effects, Record)[0].record["bound_mm"] == 0.31
     assert (entry["status"], entry["error_mm"], entry["duration_s"]) == ("reached", 0.234, 3.46)
@@ -81,8 +81,8 @@ def test_what_a_press_did_is_told_and_readings_are_no_measurement(
 ) -> None:
     rig = Rig()
     done = GoalResult(goal_id="7", goal="press:RUN_STOP", outcome=Outcome.REACHED, error_m=0.000234, details=details)
-    rig.desk.result(dataclasses.replace(done, outcome=Outcome.ACCEPTED, details=()), rig.now)
-    effects = rig.desk.result(done, rig.now)
+    rig.desk.answers.result(dataclasses.replace(done, outcome=Outcome.ACCEPTED, details=()), rig.now)
+    effects = rig.desk.answers.result(done, rig.now)
     assert (logged(effects)[0]["effect"], logged(effects)[0]["error_mm"]) == (effect, error_mm)
     written = of_type(effects, Record)[0].record
     assert (written["effect"], written["error_mm"]) == (effect, error_mm)
@@ -95,8 +95,8 @@ def test_a_result_names_its_control_as_the_page_does_elsewhere() -> None:
         done = GoalResult(
             goal_id=goal, goal=goal, outcome=Outcome.ABORTED, reason=reason, details=(("effect", effect),)
         )
-        rig.desk.result(dataclasses.replace(done, outcome=Outcome.ACCEPTED), rig.now)
-        (entry,) = logged(rig.desk.result(done, rig.now))
+        rig.desk.answers.result(dataclasses.replace(done, outcome=Outcome.ACCEPTED), rig.now)
+        (entry,) = logged(rig.desk.answers.result(done, rig.now))
         return entry["reason"], entry["effect"]
 
     hidden = "something (a hand?) has hidden RUN_STOP for 0.4 s"
@@ -128,7 +128,7 @@ def test_a_press_on_a_point_is_a_pixel_goal_and_a_hold_is_a_gesture_there() -> N
     assert (goal.frame, goal.point) == (CAMERA_LEFT, (700.0, 300.0))
     assert goal.stamp_ns == rig.now.ros_ns
     finished = GoalResult(goal_id=str(goal.stamp_ns), goal="", outcome=Outcome.REJECTED, reason="too far")
-    assert logged(rig.desk.result(finished, rig.now))[0]["reason"] == "too far"
+    assert logged(rig.desk.answers.result(finished, rig.now))[0]["reason"] == "too far"
     (command,) = of_type(rig.act("hold", 1.5), SendCommand)
     sent = parse_gesture(command.text)
     assert sent.target == Point(x=700.0, y=300.0, frame="camera_left_optical_frame")
@@ -142,14 +142,14 @@ def test_goals_of_one_moment_still_have_names_of_their_own() -> None:
         (goal,) = of_type(rig.act("press"), SendGoal)
         stamps.append(goal.stamp_ns)
         done = GoalResult(goal_id=str(goal.stamp_ns), goal="", outcome=Outcome.REJECTED)
-        rig.desk.result(done, rig.now)
+        rig.desk.answers.result(done, rig.now)
     assert stamps[0] < stamps[1]
 
 
 def test_results_of_others_are_shown_too() -> None:
     rig = Rig()
     started = GoalResult(goal_id="turn:CH1_SCALE:30", goal="turn:CH1_SCALE:30.0 id=7", outcome=Outcome.ACCEPTED)
-    assert logged(rig.desk.result(started, rig.now))[0] | {"entry": 0, "wall_ms": 0} == {
+    assert logged(rig.desk.answers.result(started, rig.now))[0] | {"entry": 0, "wall_ms": 0} == {
         "entry": 0,
         "wall_ms": 0,
         "who": "Graph",
@@ -166,7 +166,7 @@ def test_results_of_others_are_shown_too() -> None:
     assert rig.desk.moving
     for goal in ("press:UNKNOWN", "press:0.1,0.2@base_link", "move to (0.1, 0.2, 0) m in base_link"):
         started = GoalResult(goal_id=goal, goal=goal, outcome=Outcome.ACCEPTED)
-        (entry,) = logged(rig.desk.result(started, rig.now))
+        (entry,) = logged(rig.desk.answers.result(started, rig.now))
         assert (entry["action"], entry["target"]) == (goal, ""), "what has no name here stays as it was published"
 
 
@@ -239,7 +239,7 @@ def test_a_panel_that_moved_since_the_selection_voids_it() -> None:
     rig.select(control="RUN_STOP")
     rig.desk.scene.place_panel(pose(0.0015))
     assert of_type(rig.act(), SendCommand), "1.5 mm is within the bound of 2 mm"
-    rig.desk.order_failed(Order(entry=2, stops=0, epoch=1, record={}), "test", rig.now)
+    rig.desk.answers.order_failed(Order(entry=2, stops=0, epoch=1, record={}), "test", rig.now)
     rig = Rig()
     rig.select(control="RUN_STOP")
     rig.desk.scene.place_panel(pose(0.0025))
@@ -393,13 +393,13 @@ def test_an_order_does_not_go_out_when_the_bridge_goes_on_after_it_stood_still()
 
 def test_a_recording_that_ended_by_itself_is_in_the_log_and_in_the_records() -> None:
     rig = Rig()
-    effects = rig.desk.recording_ended(False, "the disk is full", rig.now)
+    effects = rig.desk.answers.recording_ended(False, "the disk is full", rig.now)
     (entry,) = logged(effects)
     assert (entry["who"], entry["action"], entry["status"]) == ("bag_record", "end_record", "failed")
     assert entry["reason"] == "the disk is full"
     (line,) = of_type(effects, Record)
     assert (line.record["command"], line.record["result"]) == ("end_record", "failed")
-    assert logged(rig.desk.recording_ended(True, "7 messages", rig.now))[0]["status"] == "done"
+    assert logged(rig.desk.answers.recording_ended(True, "7 messages", rig.now))[0]["status"] == "done"
     assert not rig.desk.moving
 
 
@@ -418,7 +418,9 @@ def test_an_accepted_goal_whose_end_was_lost_is_given_up_once_the_controller_res
     rig = Rig()
     rig.select(control="RUN_STOP")
     (command,) = of_type(rig.act(), SendCommand)
-    rig.desk.result(GoalResult(goal_id=parse_gesture(command.text).id, goal="", outcome=Outcome.ACCEPTED), rig.now)
+    rig.desk.answers.result(
+        GoalResult(goal_id=parse_gesture(command.text).id, goal="", outcome=Outcome.ACCEPTED), rig.now
+    )
     rig.desk.machine.set_state("controller", "moving")
     assert logged(rig.wait(10.0, alive=True)) == [], "a goal may take its time"
     rig.desk.machine.set_state("controller", "ready")
@@ -487,12 +489,12 @@ def test_a_jog_step_that_came_too_late_is_sent_again_while_the_button_is_held() 
     (goal,) = of_type(rig.jog(0, 1), SendGoal)
     stale = GoalResult(goal_id=str(goal.stamp_ns), goal="", outcome=Outcome.REJECTED, code=ResultCode.STALE.value)
     rig.wait(0.2, alive=True)
-    (again,) = of_type(rig.desk.result(stale, rig.now), SendGoal)
+    (again,) = of_type(rig.desk.answers.result(stale, rig.now), SendGoal)
     assert again.point == goal.point and again.stamp_ns > goal.stamp_ns
     assert again.stamp_ns == rig.now.ros_ns, "the new stamp is the time of sending, not of the press"
     rig.wait(0.35, alive=True)  # let go
     late = GoalResult(goal_id=str(again.stamp_ns), goal="", outcome=Outcome.REJECTED, code=ResultCode.STALE.value)
-    assert of_type(rig.desk.result(late, rig.now), SendGoal) == []
+    assert of_type(rig.desk.answers.result(late, rig.now), SendGoal) == []
 
 
 @pytest.mark.parametrize("how", ["silence", "stop", "release", "rejected"])
@@ -519,7 +521,7 @@ def test_a_jog_that_was_not_done_is_not_ordered_again_before_it_is_let_go(outcom
     rig.desk.machine.set_position(0.3, 0.05, 0.0, rig.now)
     (goal,) = of_type(rig.jog(1, 0), SendGoal)
     refused = GoalResult(goal_id=str(goal.stamp_ns), goal="", outcome=outcome, reason="x is out of reach")
-    rig.desk.result(refused, rig.now)
+    rig.desk.answers.result(refused, rig.now)
     for _ in range(100):
         rig.wait(0.1, alive=True)
         rig.desk.machine.set_position(0.3, 0.05, 0.0, rig.now)
@@ -528,7 +530,7 @@ def test_a_jog_that_was_not_done_is_not_ordered_again_before_it_is_let_go(outcom
         assert answer(answered)["values"] == {"what": "x is out of reach"}
     assert of_type(rig.jog(-1, 0), SendGoal), "the other way is free"
     rig.jog(0, 0)
-    rig.end(rig.desk._last_goal_ns)
+    rig.end(rig.desk._book._last_goal_ns)
     assert of_type(rig.jog(1, 0), SendGoal), "and whoever presses it anew tries again"
 
 
@@ -540,14 +542,14 @@ def test_a_step_whose_record_was_long_in_writing_is_not_begun_once_it_is_let_go(
     assert rig.desk.still_wanted(first, rig.now), "a short press is one step"
     rig.wait(0.35, alive=True)
     assert not rig.desk.still_wanted(first, rig.now)
-    assert logged(rig.desk.order_failed(first, "let go", rig.now))[0]["status"] == "failed"
+    assert logged(rig.desk.answers.order_failed(first, "let go", rig.now))[0]["status"] == "failed"
     rig.desk.machine.set_position(0.1, 0.05, 0.0, rig.now)
     (first,) = of_type(rig.jog(1, 0), SendGoal)
     for _ in range(5):
         rig.wait(0.2, alive=True)
         rig.jog(1, 0)
     assert rig.desk.still_wanted(first, rig.now), "it is held all the time"
-    rig.desk.order_failed(first, "no gantry controller listens", rig.now)
+    rig.desk.answers.order_failed(first, "no gantry controller listens", rig.now)
     rig.desk.machine.set_position(0.1, 0.05, 0.0, rig.now)
     assert of_type(rig.jog(1, 0), SendGoal), "what did not go out is begun anew, and not waited for"
 
@@ -885,7 +887,7 @@ def test_a_stop_voids_an_order_that_has_not_gone_out() -> None:
     (command,) = of_type(rig.act(), SendCommand)
     rig.ask(rig.a, type="stop")
     assert not rig.desk.still_wanted(command, rig.now)
-    effects = rig.desk.order_failed(command, "stopped", rig.now)
+    effects = rig.desk.answers.order_failed(command, "stopped", rig.now)
     assert logged(effects)[0]["status"] == "failed"
     (line,) = of_type(effects, Record)
     assert (line.record["result"], line.record["reason"]) == ("failed", "stopped"), (
@@ -916,7 +918,7 @@ def test_what_was_sent_before_a_stop_and_comes_after_it_is_not_done() -> None:
     assert refusal(rig.act()) == "before_stop"
     assert of_type(rig.ask(rig.a, type="stop", press="p1"), StopNow) == []
     (reset,) = of_type(rig.ask(rig.a, type="call", service="reset"), CallService)  # this was pressed afterwards
-    rig.desk.service_answered(reset.entry, True, "", rig.now)
+    rig.desk.answers.service_answered(reset.entry, True, "", rig.now)
     rig.desk.stop_overtakes("v99", "Operator 1", 1000)
     rig.desk.stop_overtakes(rig.a, "Operator 2", 1000)
     rig.desk.stop_overtakes(rig.a, "Operator 1", 1)
@@ -943,7 +945,7 @@ def test_a_stop_is_done_when_the_driver_has_answered_and_not_before() -> None:
     assert (entry["action"], entry["status"], entry["entry"]) == ("stop", "sent", stop.entry)
     assert not rig.desk.moving, "it is no motion that is waited for"
     assert of_type(rig.act(), SendCommand), "and it holds nobody up"
-    effects = rig.desk.service_answered(stop.entry, True, "", rig.now)
+    effects = rig.desk.answers.service_answered(stop.entry, True, "", rig.now)
     assert (logged(effects)[0]["status"], logged(effects)[0]["reason"]) == ("done", "")
     (line,) = of_type(effects, Record)
     assert (line.record["command"], line.record["result"]) == ("stop", "done")
@@ -959,7 +961,7 @@ def test_a_stop_whose_answer_was_lost_is_done_when_the_driver_says_that_it_has_s
 def test_a_stop_that_nobody_heard_is_not_told_to_be_done() -> None:
     rig = Rig()
     (alone,) = of_type(rig.ask(rig.a, type="stop"), StopNow)
-    (failed,) = logged(rig.desk.service_answered(alone.entry, False, "no driver listens", rig.now))
+    (failed,) = logged(rig.desk.answers.service_answered(alone.entry, False, "no driver listens", rig.now))
     assert (failed["status"], failed["reason"]) == ("failed", "no driver listens")
     for press in ("again", "and again"):
         rig.seconds += 1.0
@@ -976,15 +978,15 @@ def test_an_end_that_comes_after_a_command_was_given_up_is_still_told() -> None:
     (command,) = of_type(rig.act(), SendCommand)
     assert [entry["status"] for entry in logged(rig.wait(3.2, alive=True))] == ["no_answer"]
     late = GoalResult(goal_id=command.record["goal_id"], goal="", outcome=Outcome.REACHED, error_m=0.0002)
-    effects = rig.desk.result(late, rig.now)
+    effects = rig.desk.answers.result(late, rig.now)
     (entry,) = logged(effects)
     assert (entry["entry"], entry["status"], entry["error_mm"]) == (command.entry, "reached", 0.2)
     (line,) = of_type(effects, Record)
     assert (line.record["result"], line.record["goal_id"]) == ("reached", command.record["goal_id"])
-    assert rig.desk.result(late, rig.now) == [], "once"
+    assert rig.desk.answers.result(late, rig.now) == [], "once"
     (stop,) = of_type(rig.ask(rig.a, type="stop"), StopNow)
     assert [entry["status"] for entry in logged(rig.wait(3.2, alive=True))] == ["no_answer"]
-    assert logged(rig.desk.service_answered(stop.entry, True, "", rig.now))[0]["status"] == "done"
+    assert logged(rig.desk.answers.service_answered(stop.entry, True, "", rig.now))[0]["status"] == "done"
 
 
 # --- services and state ---
@@ -1067,7 +1069,7 @@ def test_services_are_called_and_their_answers_shown() -> None:
     (call,) = of_type(rig.ask(rig.a, type="call", service="home"), CallService)
     assert call.service == "home"
     assert not rig.desk.moving, "asking is not moving; the driver says homing"
-    entry = logged(rig.desk.service_answered(call.entry, False, "not enabled", rig.now))[0]
+    entry = logged(rig.desk.answers.service_answered(call.entry, False, "not enabled", rig.now))[0]
     assert (entry["status"], entry["reason"]) == ("rejected", "not enabled")
 
 

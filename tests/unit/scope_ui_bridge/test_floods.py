@@ -85,7 +85,7 @@ def test_a_flood_does_not_delay_the_operators_stop_nor_a_new_page(
 ) -> None:
     path = tmp_path / "audit.jsonl"
     if name != "stops":  # else each stop of that flood would be a new one
-        monkeypatch.setattr("scope_ui_bridge.core.desk._SAME_STOP_S", 0.0)
+        monkeypatch.setattr("scope_ui_bridge.core.desk.stops._SAME_STOP_S", 0.0)
 
     async def scenario(rig: Rig) -> None:
         rig.offer()

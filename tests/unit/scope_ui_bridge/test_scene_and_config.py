@@ -113,29 +113,29 @@ def test_tip_and_target_are_projected_and_old_tips_are_not() -> None:
 def test_the_way_is_planned_to_the_selection_and_then_the_one_that_is_driven() -> None:
     rig = Rig()
     desk = rig.desk
-    assert desk.path("left") == {"path": [], "planned": True}
+    assert desk.tip_path.message("left") == {"path": [], "planned": True}
     rig.select(control="RUN_STOP")
     desk.machine.set_position(0.1, 0.05, 0.02, rig.now)
-    assert desk.path("left")["path"] == [], "where the gantry is, is not known before the calibration"
+    assert desk.tip_path.message("left")["path"] == [], "where the gantry is, is not known before the calibration"
     # base_link: as the panel's frame, 30 mm before its face
     base = Transform(pose().rotation, pose().apply(np.array([0.0, 0.0, 0.03])))
     desk.scene.camera_from_base = base
     before = [[0.1, 0.05, -0.02], [0.1, 0.05, 0.0], [0.2, 0.12, 0.0], [0.2, 0.12, -0.027]]
-    shown = desk.path("left")
+    shown = desk.tip_path.message("left")
     assert shown["planned"]
     assert np.allclose(shown["path"], desk.scene.project("left", base.apply(np.array(before))), atol=0.06)
-    assert desk.path("right")["path"][0][0] < shown["path"][0][0]
+    assert desk.tip_path.message("right")["path"][0][0] < shown["path"][0][0]
     desk.machine.set_state("driver", "moving")
-    assert desk.path("left") == {"path": [], "planned": False}, "not what was planned, but what is driven"
-    desk.set_path(np.array([[0.1, 0.05, 0.0], [0.19, 0.11, 0.0]]))
+    assert desk.tip_path.message("left") == {"path": [], "planned": False}, "not what was planned, but what is driven"
+    desk.tip_path.publish(np.array([[0.1, 0.05, 0.0], [0.19, 0.11, 0.0]]))
     driven = [[0.1, 0.05, -0.02], [0.1, 0.05, 0.0], [0.19, 0.11, 0.0]]
-    found = desk.path("left")
+    found = desk.tip_path.message("left")
     assert np.allclose(found["path"], desk.scene.project("left", base.apply(np.array(driven))), atol=0.06)
     assert not found["planned"]
     desk.machine.set_state("driver", "idle")
-    assert desk.path("left") == shown
+    assert desk.tip_path.message("left") == shown
     desk.machine.set_state("driver", "moving")
-    assert desk.path("left")["path"] == [], "the way of the last motion is not shown for the next"
+    assert desk.tip_path.message("left")["path"] == [], "the way of the last motion is not shown for the next"
 
 
 def test_a_way_that_is_told_before_its_motion_is_drawn_with_it() -> None:
@@ -146,23 +146,25 @@ def test_a_way_that_is_told_before_its_motion_is_drawn_with_it() -> None:
     desk.scene.camera_from_base = Transform(pose().rotation, pose().apply(np.array([0.0, 0.0, 0.03])))
     way = np.array([[0.1, 0.05, 0.0], [0.19, 0.11, 0.0]])
     rig.wait(0.1)
-    desk.set_path(way)
-    assert desk.path("left") == {"path": [], "planned": True}, "a picture comes between the way and its motion"
+    desk.tip_path.publish(way)
+    assert desk.tip_path.message("left") == {"path": [], "planned": True}, (
+        "a picture comes between the way and its motion"
+    )
     rig.wait(0.5)
-    desk.path("left")
+    desk.tip_path.message("left")
     desk.machine.set_state("controller", "moving")
-    shown = desk.path("left")
+    shown = desk.tip_path.message("left")
     assert (len(shown["path"]), shown["planned"]) == (3, False)
     desk.machine.set_state("controller", "ready")
-    desk.path("left")
+    desk.tip_path.message("left")
     desk.machine.set_state("controller", "moving")
-    assert desk.path("left")["path"] == [], "the way of the last motion is not shown for the next"
+    assert desk.tip_path.message("left")["path"] == [], "the way of the last motion is not shown for the next"
     desk.machine.set_state("controller", "ready")
-    desk.set_path(way)
+    desk.tip_path.publish(way)
     rig.wait(1.1)
-    desk.path("left")
+    desk.tip_path.message("left")
     desk.machine.set_state("controller", "moving")
-    assert desk.path("left")["path"] == [], "nor one that nobody has set out on"
+    assert desk.tip_path.message("left")["path"] == [], "nor one that nobody has set out on"
 
 
 def test_without_a_calibration_or_a_pose_nothing_is_drawn() -> None:

@@ -31,7 +31,7 @@ def started(rig: Rig) -> SendSequence:
 def hear(rig: Rig, run_id: str, outcome: Outcome, done: int = 0, reason: str = "") -> list[Effect]:
     details = (("steps_done", str(done)),) if outcome.final else ()
     result = GoalResult(goal_id=run_id, goal="3 steps", outcome=outcome, reason=reason, details=details)
-    return rig.desk.sequence_result(result, rig.now)
+    return rig.desk.answers.sequence_result(result, rig.now)
 
 
 def told(effects: list[Effect]) -> dict[str, Any]:
@@ -51,7 +51,7 @@ def test_typed_steps_go_out_as_a_file_and_are_followed_step_by_step() -> None:
     shown = told(rig.wait(0.1, alive=True))
     assert (shown["number"], shown["status"], len(shown["steps"]), shown["who"]) == (2, "accepted", 3, "Operator 1")
     step = GoalResult(goal_id=f"{run_id}.2", goal="turn:CH1_SCALE:30.0", outcome=Outcome.ACCEPTED)
-    assert logged(rig.desk.result(step, rig.now))[0]["who"] == "Operator 1", "its steps are the operator's"
+    assert logged(rig.desk.answers.result(step, rig.now))[0]["who"] == "Operator 1", "its steps are the operator's"
     rig.desk.set_state("sequencer", "idle")
     (entry,) = logged(hear(rig, run_id, Outcome.REACHED, done=3))
     assert (entry["action"], entry["status"]) == ("sequence 3", "reached")
@@ -199,7 +199,7 @@ def test_a_stop_voids_a_sequence_that_has_not_gone_out() -> None:
     order = started(rig)
     rig.ask(rig.a, type="stop")
     assert not rig.desk.still_wanted(order, rig.now)
-    rig.desk.order_failed(order, "stopped before it went out", rig.now)
+    rig.desk.answers.order_failed(order, "stopped before it went out", rig.now)
     assert told(rig.wait(0.1, alive=True))["status"] == "failed"
 
 

@@ -132,10 +132,10 @@ def test_what_the_driver_or_the_controller_stopped_is_not_claimed() -> None:
     assert driver_stops(moving(), "stopped: operator's heartbeat lost: 0.61 s old, 0.6 s are allowed") is None
     rig = moving()
     pushed = "the panel has moved by 4.0 mm"
-    rig.desk.result(GoalResult(goal_id="7", goal="press:MENU", outcome=Outcome.ABORTED, reason=pushed), rig.now)
+    rig.desk.answers.result(GoalResult(goal_id="7", goal="press:MENU", outcome=Outcome.ABORTED, reason=pushed), rig.now)
     assert driver_stops(rig) == {"code": "stopped_by_controller", "who": pushed, "silence_s": 0.0}
     rig = moving()
-    rig.desk.result(GoalResult(goal_id="7", goal="press:MENU", outcome=Outcome.ABORTED, reason=pushed), rig.now)
+    rig.desk.answers.result(GoalResult(goal_id="7", goal="press:MENU", outcome=Outcome.ABORTED, reason=pushed), rig.now)
     rig.wait(3.0, alive=True)
     cause = driver_stops(rig)
     assert cause is not None and cause["code"] != "stopped_by_controller", (

@@ -59,13 +59,13 @@ def test_a_picture_is_held_and_what_was_pointed_at_goes_to_perception() -> None:
     assert refusal(ada.ask(type="hold")) == "busy_pending", "another picture would go out with these places"
     details = (("layout", "/x/pump_2.yaml"), ("template", "/x/pump_2.png"), ("start", "bring_up --scope pump_2"))
     done = GoalResult(goal_id=request["id"], goal="pump_2", outcome=Outcome.REACHED, reason="wrote", details=details)
-    effects = ada.rig.desk.taught(done, ada.rig.now)
+    effects = ada.rig.desk.answers.taught(done, ada.rig.now)
     message = effects[0]
     assert isinstance(message, Broadcast)
     assert (message.message["type"], message.message["ok"]) == ("taught", True)
     assert message.message["layout"] == "/x/pump_2.yaml" and message.message["start"] == "bring_up --scope pump_2"
     assert of_type(effects, Record)[0].record["result"] == "reached"
-    assert ada.rig.desk.taught(done, ada.rig.now) == [], "an answer that nobody waits for"
+    assert ada.rig.desk.answers.taught(done, ada.rig.now) == [], "an answer that nobody waits for"
 
 
 def test_without_an_answer_it_is_given_up() -> None:

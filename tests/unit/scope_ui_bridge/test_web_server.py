@@ -20,7 +20,7 @@ from icu_common.core.configuration.config import ConfigError
 from icu_common.core.goals.results import GoalResult, Outcome
 from scope_ui_bridge.adapters.front_door import COOKIE, PAGE
 from scope_ui_bridge.adapters.secret_files import AuditFile
-from scope_ui_bridge.core import desk
+from scope_ui_bridge.core.desk import stops
 from scope_ui_bridge.core.effects import Broadcast, Now
 from scope_ui_bridge.core.records import verify
 
@@ -221,7 +221,7 @@ def test_without_a_cookie_there_is_no_connection_and_no_stop() -> None:
 
 
 @pytest.mark.parametrize(
-    "path", ["/page/../core/desk.py", "/page/%2e%2e/core/desk.py", "/page/..%2f..%2fsetup.py", "/etc"]
+    "path", ["/page/../core/desk/desk.py", "/page/%2e%2e/core/desk/desk.py", "/page/..%2f..%2fsetup.py", "/etc"]
 )
 def test_files_beside_the_page_are_not_served(path: str) -> None:
     async def scenario(rig: Rig) -> None:
@@ -266,7 +266,7 @@ def test_a_page_that_takes_no_messages_is_let_go_and_comes_back_to_what_holds_no
             await client.ask(type="select", camera="left", stamp=about["stamp"], control="RUN_STOP")
 
             def backlog() -> None:
-                rig.server._carry_out(rig.desk._clear_selection())  # would be lost with the rest of the queue
+                rig.server._carry_out(rig.desk.chosen.clear())  # would be lost with the rest of the queue
                 rig.server._carry_out([Broadcast(message={"type": "state", "number": n}) for n in range(300)])
 
             rig.server.mailbox.each(backlog)
@@ -405,7 +405,7 @@ def test_a_service_is_called_and_answered() -> None:
 
 
 def test_stop_by_plain_post_from_a_viewer(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(desk, "_SAME_STOP_S", WITHIN_S)  # half a second may pass between two posts of a test
+    monkeypatch.setattr(stops, "_SAME_STOP_S", WITHIN_S)  # half a second may pass between two posts of a test
 
     async def scenario(rig: Rig) -> None:
         async with page(rig, take=True), page(rig, control=False) as viewer:
@@ -415,7 +415,9 @@ def test_stop_by_plain_post_from_a_viewer(monkeypatch: pytest.MonkeyPatch) -> No
             async with viewer.session.post("/stop", headers=html, allow_redirects=False) as answer:
                 assert (answer.status, answer.headers["Location"]) == (303, "/")
             assert len(rig.graph.named("stop")) == 1, "twice within half a second is one stop"
-            rig.server.mailbox.each(rig.desk.result, GoalResult(goal_id="x", goal="x", outcome=Outcome.REJECTED), NOW)
+            rig.server.mailbox.each(
+                rig.desk.answers.result, GoalResult(goal_id="x", goal="x", outcome=Outcome.REJECTED), NOW
+            )
             async with viewer.session.post("/stop", headers=viewer.origin) as answer:
                 assert answer.status == 200
         assert len(rig.graph.named("stop")) == 2

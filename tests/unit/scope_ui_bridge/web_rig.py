@@ -83,8 +83,7 @@ class Rig:
     def __init__(self, audit: AuditFile | None = None, **config: Any) -> None:
         self.config = BridgeConfig(**{"port": 0, **PATIENT, **config})
         self.graph = RecordingGraph()
-        self.desk = Desk(self.config, "boot", "DSO")
-        self.desk.scene = scene()
+        self.desk = Desk(self.config, "boot", "DSO", scene=scene())
         self.desk.machine.set_state("driver", "idle")
         self.desk.machine.set_state("controller", "ready")
         secrets = (f"secret-{number}" for number in itertools.count())

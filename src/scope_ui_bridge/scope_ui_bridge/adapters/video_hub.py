@@ -219,6 +219,6 @@ class VideoHub:
         height, width = picture.shape[:2]
         about: dict[str, Any] = {"seq": seq, "camera": camera, "stamp": str(stamp_ns), "width": width, "height": height}
         about["light"] = level > 0
-        about |= scene.moving_parts(camera, stamp_ns) | self._desk.path(camera)
+        about |= scene.moving_parts(camera, stamp_ns) | self._desk.tip_path.message(camera)
         layers = {name: scene.layers.text(name, camera, stamp_ns) for name, at in self.wanted if at == camera}
         return _Frame(seq=seq, stamp_ns=stamp_ns, about=encode(about)[1:-1], layers=layers, jpeg=jpeg)

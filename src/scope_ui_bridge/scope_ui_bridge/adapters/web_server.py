@@ -109,7 +109,7 @@ class WebServer:
         self._writer = ThreadPoolExecutor(1, "audit")  # one thread keeps the records in order
         self.video = VideoHub(desk, self.encoder, lambda: desk.config.jpeg_quality, graph.ros_ns)
         self.recorder = Recorder(
-            config.record_folder, ended=lambda success, text: self.post(desk.recording_ended, success, text)
+            config.record_folder, ended=lambda success, text: self.post(desk.answers.recording_ended, success, text)
         )
         self._held: tuple[int, str, npt.NDArray[Any]] | None = None
         self._outboxes: dict[str, asyncio.Queue[str]] = {}
@@ -473,9 +473,11 @@ class WebServer:
                 who = str(order.record["who"])
                 self._call(order.service, who, lambda ok, text: self._service_answered(order.entry, ok, text))
         except OSError as error:
-            self._carry_out(self._desk.order_failed(order, f"the record could not be written: {error}", self._now()))
+            self._carry_out(
+                self._desk.answers.order_failed(order, f"the record could not be written: {error}", self._now())
+            )
         except GraphError as error:
-            self._carry_out(self._desk.order_failed(order, str(error), self._now()))
+            self._carry_out(self._desk.answers.order_failed(order, str(error), self._now()))
 
     def _call(self, service: str, who: str, answered: Callable[[bool, str], None]) -> None:
         if service == "record":
@@ -486,7 +488,7 @@ class WebServer:
             self._graph.call(service, answered)
 
     def _service_answered(self, entry: int, success: bool, text: str) -> None:
-        self.post(self._desk.service_answered, entry, success, text)
+        self.post(self._desk.answers.service_answered, entry, success, text)
 
     def _write(self, record: dict[str, Any]) -> Future[None]:
         """Queue a record for the writer; the future is done when the record is on disk.

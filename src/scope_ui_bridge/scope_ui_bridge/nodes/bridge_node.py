@@ -321,7 +321,7 @@ class BridgeNode(GraphNode):
     def _trajectory_seen(self, message: JointTrajectory) -> None:
         readings = trajectory_array(message, JOINTS)[:_MAX_PATH]
         path = np.column_stack([readings[:, :2] @ self._axes.T, -readings[:, 2]])
-        self._mail.newest("path", self._desk.set_path, path)
+        self._mail.newest("path", self._desk.tip_path.publish, path)
 
     def _calibration_seen(self, message: TransformStamped) -> None:
         check_frame(message.header, CAMERA_LEFT)
@@ -417,13 +417,13 @@ class BridgeNode(GraphNode):
                 self._server.post(self._desk.parameters.changed, message.node, changed.name[:_MAX_VALUE], value)
 
     def _result_seen(self, message: DiagnosticArray) -> None:
-        self._server.post(self._desk.result, result_of_message(message))
+        self._server.post(self._desk.answers.result, result_of_message(message))
 
     def _sequence_result_seen(self, message: DiagnosticArray) -> None:
-        self._server.post(self._desk.sequence_result, result_of_message(message))
+        self._server.post(self._desk.answers.sequence_result, result_of_message(message))
 
     def _taught(self, message: DiagnosticArray) -> None:
-        self._server.post(self._desk.taught, result_of_message(message))
+        self._server.post(self._desk.answers.taught, result_of_message(message))
 
     def _check_states(self) -> None:
         # The latched state of a node that has ended no longer applies.
