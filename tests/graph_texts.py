@@ -40,6 +40,7 @@ ONLY_ELSEWHERE = {
         *("stereo_matching", "stylus", "ball_view", "ball_fit", "plane_fit", "planar_pose", "reprojection"),
         *("pair_rotation", "pair_watch", "layout", "pair", "layout_message", "pair_message", "panel_check"),
         *("structure", "lanes", "edge_alignment", "overlay", "foxglove_sidecar", "passwords", "secret_files", "audit"),
+        "bridge_files",
         *(
             "turned_away",
             "front_door",
