@@ -10,7 +10,7 @@ from system.operator_browser import Operator
 from system.test_operator_desk import instrument, operator
 from system.test_operator_page import Instrument
 
-from scope_ui_bridge.adapters.front_door import PAGE
+from scope_ui_bridge.adapters.web.front_door import PAGE
 
 __all__ = ["instrument", "operator"]  # fixtures
 pytestmark = [pytest.mark.browser, pytest.mark.system, pytest.mark.timeout(300)]

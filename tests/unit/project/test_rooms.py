@@ -9,8 +9,8 @@ import pytest
 
 SRC = Path(__file__).parents[3] / "src"
 CORES = [SRC / package / package / "core" for package in ("harris_perception", "scope_ui_bridge")]
-ROOMS = sorted(path.parent for core in CORES for path in core.glob("*/__init__.py"))
 BRIDGE = SRC / "scope_ui_bridge" / "scope_ui_bridge"
+ROOMS = sorted(path.parent for folder in [*CORES, BRIDGE / "adapters"] for path in folder.glob("*/__init__.py"))
 MAX_MODULES = 15
 
 
@@ -38,10 +38,11 @@ def test_map_names_every_module_of_its_room(room: Path) -> None:
     assert not missing, f"name them in {room / '__init__.py'}, in the sentence of what they do"
 
 
-def test_map_of_the_core_names_every_room() -> None:
-    core = BRIDGE / "core"
-    rooms = {path.parent.name for path in core.glob("*/__init__.py")} | modules_of(core)
-    assert {name for name in rooms if f"``{name}``" not in map_of(core)} == set()
+@pytest.mark.parametrize("folder", ["core", "adapters", "nodes"])
+def test_map_names_every_room_and_module(folder: str) -> None:
+    whole = BRIDGE / folder
+    rooms = {path.parent.name for path in whole.glob("*/__init__.py")} | modules_of(whole)
+    assert {name for name in rooms if f"``{name}``" not in map_of(whole)} == set()
 
 
 def test_no_folder_of_the_operator_page_has_more_files_than_can_be_read() -> None:

@@ -23,8 +23,9 @@ import pytest
 from unit.scope_ui_bridge.web_rig import WITHIN_S, Page, Rig, page, until, with_rig
 from yarl import URL
 
-from scope_ui_bridge.adapters import front_door, listener, video_hub
 from scope_ui_bridge.adapters.secret_files import AuditFile, read_users, write_secret
+from scope_ui_bridge.adapters.video import video_hub
+from scope_ui_bridge.adapters.web import front_door, listener
 from scope_ui_bridge.cli import page_admin
 from scope_ui_bridge.core.access import Role, hash_password, matches, new_user, sign_in
 from scope_ui_bridge.core.records import verify

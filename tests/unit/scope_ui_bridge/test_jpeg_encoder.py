@@ -16,7 +16,7 @@ import pytest
 from deadlines import wait_until
 from unit.scope_ui_bridge.web_rig import WITHIN_S, Rig, page, until, with_rig
 
-from scope_ui_bridge.adapters.jpeg_encoder import JpegEncoder, to_jpeg
+from scope_ui_bridge.adapters.video.jpeg_encoder import JpegEncoder, to_jpeg
 from scope_ui_bridge.core.video import FORMS
 
 SEED = 5
@@ -133,7 +133,7 @@ def test_closing_it_twice_closes_no_file_of_others(tmp_path: Path) -> None:
 @pytest.mark.parametrize("way", ["closed", "killed"])
 def test_it_ends_with_the_bridge(way: str) -> None:
     code = f"""import os, numpy as np
-from scope_ui_bridge.adapters.jpeg_encoder import JpegEncoder
+from scope_ui_bridge.adapters.video.jpeg_encoder import JpegEncoder
 encoder = JpegEncoder()
 encoder(np.zeros((8, 8), np.uint8), "mono8", 80).result({WITHIN_S})
 print(encoder.pid, flush=True)

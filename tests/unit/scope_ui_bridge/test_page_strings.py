@@ -6,7 +6,7 @@ import re
 
 from graph_texts import german_phrases, templates
 
-from scope_ui_bridge.adapters.front_door import PAGE
+from scope_ui_bridge.adapters.web.front_door import PAGE
 from scope_ui_bridge.core.wire import LEASE_STEPS, SERVICES
 
 

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from unit.scope_ui_bridge.desk_rig import Rig
 
-from scope_ui_bridge.adapters.jpeg_encoder import to_jpeg
-from scope_ui_bridge.adapters.video_hub import VideoHub, VideoViewer
+from scope_ui_bridge.adapters.video.jpeg_encoder import to_jpeg
+from scope_ui_bridge.adapters.video.video_hub import VideoHub, VideoViewer
 
 
 class ByHand:

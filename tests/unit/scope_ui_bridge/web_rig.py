@@ -17,7 +17,7 @@ from unit.scope_ui_bridge.desk_rig import scene
 
 from scope_ui_bridge.adapters.graph_port import GraphError
 from scope_ui_bridge.adapters.secret_files import AuditFile
-from scope_ui_bridge.adapters.web_server import WebServer
+from scope_ui_bridge.adapters.web.web_server import WebServer
 from scope_ui_bridge.core.access import SignIn
 from scope_ui_bridge.core.config import BridgeConfig
 from scope_ui_bridge.core.desk import Desk

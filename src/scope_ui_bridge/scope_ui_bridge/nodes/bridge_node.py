@@ -21,7 +21,7 @@ from icu_common.nodes.graph_node import GraphNode
 from icu_common.nodes.parameters import LiveParameters
 from icu_common.nodes.runtime import run
 from icu_common.nodes.timers import every
-from scope_ui_bridge.adapters.web_server import WebServer
+from scope_ui_bridge.adapters.web.web_server import WebServer
 from scope_ui_bridge.core.access import Role, SignIn
 from scope_ui_bridge.core.config import BridgeConfig
 from scope_ui_bridge.core.desk import Desk

@@ -21,7 +21,7 @@ from icu_common.nodes.messages.joints import joint_positions, trajectory_array
 from icu_common.nodes.messages.places import axes_of_message, transform_of_message
 from icu_common.nodes.messages.results import result_of_message
 from icu_common.nodes.timers import every
-from scope_ui_bridge.adapters.web_server import WebServer
+from scope_ui_bridge.adapters.web.web_server import WebServer
 from scope_ui_bridge.core.desk import Desk
 from scope_ui_bridge.nodes.checked_subscription import subscribe
 

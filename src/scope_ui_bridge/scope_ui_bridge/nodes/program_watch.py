@@ -18,7 +18,7 @@ from icu_common.nodes.graph_node import GraphNode
 from icu_common.nodes.messages.heads import MAX_NAME, stamp_ns
 from icu_common.nodes.messages.results import pairs_of
 from icu_common.nodes.timers import every, seconds_of
-from scope_ui_bridge.adapters.web_server import WebServer
+from scope_ui_bridge.adapters.web.web_server import WebServer
 from scope_ui_bridge.core.desk import Desk
 from scope_ui_bridge.core.status import Condition, LivenessMonitor, Sender, judge
 from scope_ui_bridge.nodes.checked_subscription import subscribe

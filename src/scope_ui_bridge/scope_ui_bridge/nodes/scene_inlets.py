@@ -20,7 +20,7 @@ from icu_common.nodes.messages.cameras import camera_model
 from icu_common.nodes.messages.heads import check_frame
 from icu_common.nodes.messages.panels import controls_of_message, panel_state_of_message
 from icu_common.nodes.messages.places import point_array, transform_of_pose
-from scope_ui_bridge.adapters.web_server import WebServer
+from scope_ui_bridge.adapters.web.web_server import WebServer
 from scope_ui_bridge.core.desk import Desk
 from scope_ui_bridge.core.video import Face, labels_of
 from scope_ui_bridge.nodes.arrival import Arrival

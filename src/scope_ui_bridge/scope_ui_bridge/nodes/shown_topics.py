@@ -14,7 +14,7 @@ from icu_common.nodes.messages.cameras import image_array
 from icu_common.nodes.messages.clouds import cloud_array
 from icu_common.nodes.newest import NewestImage
 from icu_common.nodes.timers import every
-from scope_ui_bridge.adapters.web_server import WebServer
+from scope_ui_bridge.adapters.web.web_server import WebServer
 from scope_ui_bridge.core.desk import Desk
 from scope_ui_bridge.core.video import CORNERS, EDGES
 from scope_ui_bridge.nodes.arrival import Arrival

@@ -19,7 +19,7 @@ from typing import Any
 
 from aiohttp import web
 
-from scope_ui_bridge.adapters.jpeg_encoder import Picture
+from scope_ui_bridge.adapters.video.jpeg_encoder import Picture
 from scope_ui_bridge.core.admission import PICTURES_BURST, PICTURES_PER_S, Bucket
 from scope_ui_bridge.core.desk import Desk
 from scope_ui_bridge.core.video import FORMS, Form, FrameWindow

@@ -15,9 +15,9 @@ from urllib.parse import parse_qsl, unquote
 from aiohttp import web
 
 from icu_common.core.configuration.text_bounds import plain
-from scope_ui_bridge.adapters.listener import NOBODY, Listener, Turnstile
 from scope_ui_bridge.adapters.secret_files import read_users
-from scope_ui_bridge.adapters.turned_away import TurnedAway
+from scope_ui_bridge.adapters.web.listener import NOBODY, Listener, Turnstile
+from scope_ui_bridge.adapters.web.turned_away import TurnedAway
 from scope_ui_bridge.core.access import (
     AGAIN,
     MAX_NAME,
@@ -36,7 +36,7 @@ from scope_ui_bridge.core.wire import Refusal
 _LOG = logging.getLogger(__name__)
 COOKIE = "icu_session"
 """Cookie name without the port, which follows: browsers send a cookie to all ports of a host, also to other robots."""
-PAGE = Path(__file__).resolve().parent.parent / "page"
+PAGE = Path(__file__).resolve().parents[2] / "page"
 _BODY_TIMEOUT_S = 5.0
 _MAX_FIELDS = 8
 _LOOK_S = 1.0
