@@ -72,7 +72,7 @@ _UNSAID = re.compile(  # calls whose texts go to a log, or to nobody
 def german_phrases() -> dict[str, str]:
     """Return the page's German for what the graph says, by its templates."""
     page = SRC / "scope_ui_bridge" / "scope_ui_bridge" / "page"
-    lines = re.findall(r"^  (\[.*\]),$", (page / "phrases_de.js").read_text(), re.MULTILINE)
+    lines = re.findall(r"^  (\[.*\]),$", (page / "language" / "phrases_de.js").read_text(), re.MULTILINE)
     pairs = [json.loads(line) for line in lines]
     assert len(pairs) == len(dict(pairs)) > 300, "no phrase stands twice"
     return dict(pairs)

@@ -11,7 +11,7 @@ from scope_ui_bridge.core.wire import LEASE_STEPS, SERVICES
 
 
 def table(name: str) -> dict[str, str]:
-    pairs = re.findall(r'^  (\w+): "(.*)",$', (PAGE / f"strings_{name}.js").read_text(), re.MULTILINE)
+    pairs = re.findall(r'^  (\w+): "(.*)",$', (PAGE / "language" / f"strings_{name}.js").read_text(), re.MULTILINE)
     assert len(pairs) == len(dict(pairs)), "no key stands twice"
     return dict(pairs)
 
@@ -30,7 +30,7 @@ def test_every_key_that_is_used_exists() -> None:
     english = table("en")
     pages = "".join((PAGE / name).read_text() for name in ("index.html", "sign_in.html"))
     used = set(re.findall(r'data-(?:text|label|title|placeholder)="(\w+)"', pages))
-    for script in PAGE.glob("*.js"):
+    for script in PAGE.rglob("*.js"):
         if not script.name.startswith("strings"):
             used |= set(re.findall(r'\bt\("(\w+)"', script.read_text()))
     used |= {f"call_{name}" for name in SERVICES} | {f"action_{name}" for name in SERVICES}
@@ -102,7 +102,7 @@ def test_all_that_the_graph_can_say_is_known_in_german() -> None:
         return text in ("", "{}") or text in german or f"{text} {{}}" in german or text in unsaid
 
     missing = [f"{text!r} in {file}" for text, file in templates().items() if not is_known(text)]
-    assert missing == [], "give them a line in page/phrases_de.js, or their file one in graph_texts.ONLY_ELSEWHERE"
+    assert missing == [], "give them a line in phrases_de.js, or their file one in graph_texts.ONLY_ELSEWHERE"
 
 
 def test_what_ended_a_gesture_is_not_left_in_english_by_a_phrase_that_takes_half_of_it() -> None:

@@ -1,6 +1,6 @@
 """Reason why a request was refused: a code for a sentence of the page, and the values in that sentence.
 
-The sentences are only in the page's scripts (``page/strings.js``), so that all translations are in one place.
+The sentences are only in the page's scripts (``page/language/strings.js``), so that all translations are in one place.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 // Functions on the document for several parts of the page.
 
-import { wallNow } from "./clock.js";
+import { wallNow } from "../connection/clock.js";
 
 export const find = (id) => document.getElementById(id);
 

@@ -2,8 +2,8 @@
 // comma if its language has none: 1,5 mm would become 15 mm.
 
 import { find } from "./dom.js";
-import { localNumbers } from "./numbers.js";
-import { t } from "./strings.js";
+import { localNumbers } from "../language/numbers.js";
+import { t } from "../language/strings.js";
 
 const TYPED = /^[+\-−]?(\d+([.,]\d*)?|[.,]\d+)$/;
 

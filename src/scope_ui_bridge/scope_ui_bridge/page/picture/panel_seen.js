@@ -1,9 +1,9 @@
 // State of the panel seen by recognition: lit lamps, angles of knobs, changed screens, hidden controls.
 
-import { timeText } from "./clock.js";
-import { desk } from "./desk.js";
-import { find, put } from "./dom.js";
-import { has, t } from "./strings.js";
+import { timeText } from "../connection/clock.js";
+import { desk } from "../connection/desk.js";
+import { find, put } from "../elements/dom.js";
+import { has, t } from "../language/strings.js";
 
 let controls = new Map();
 let labels = new Map();

@@ -1,11 +1,11 @@
 // Teaching a new panel, for engineers: mark four corners and the controls in a held picture, write a layout.
 
-import { desk } from "./desk.js";
-import { doubled, find, put, say } from "./dom.js";
-import { numberOf, putNumber } from "./number_fields.js";
-import { said } from "./said.js";
-import { t } from "./strings.js";
-import { wasDragged } from "./tools.js";
+import { desk } from "../connection/desk.js";
+import { doubled, find, put, say } from "../elements/dom.js";
+import { numberOf, putNumber } from "../elements/number_fields.js";
+import { said } from "../language/said.js";
+import { t } from "../language/strings.js";
+import { wasDragged } from "../picture/tools.js";
 
 const CORNERS = ["lower_left", "lower_right", "upper_right", "upper_left"];
 let held = null; // {stamp, width, height}

@@ -1,9 +1,9 @@
 // Plots of the last minute: position, age of the picture, and link; and measured errors of the last touches.
 
-import { desk } from "./desk.js";
-import { find, put, svg } from "./dom.js";
-import { localNumbers } from "./numbers.js";
-import { t } from "./strings.js";
+import { desk } from "../connection/desk.js";
+import { find, put, svg } from "../elements/dom.js";
+import { localNumbers } from "../language/numbers.js";
+import { t } from "../language/strings.js";
 
 const SPAN_MS = 60_000;
 const NOW_MS = 1000; // older values are drawn, but not shown as current

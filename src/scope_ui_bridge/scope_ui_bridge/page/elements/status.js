@@ -1,8 +1,8 @@
 // Header and banner: states by text and icon in addition to colour.
 
 import { putSteady, reachable } from "./dom.js";
-import { said } from "./said.js";
-import { t } from "./strings.js";
+import { said } from "../language/said.js";
+import { t } from "../language/strings.js";
 
 const LOOKS = {
   good: "✓", busy: "▶", waiting: "▲", bad: "■", none: "○", recording: "●",

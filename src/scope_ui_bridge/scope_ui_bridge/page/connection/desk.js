@@ -1,10 +1,10 @@
 // State of this page: user, machine, selection; and whether an action is possible now.
 
-import { say } from "./dom.js";
+import { say } from "../elements/dom.js";
 import { Link } from "./link.js";
-import { said } from "./said.js";
-import { has, t } from "./strings.js";
-import { Video } from "./video.js";
+import { said } from "../language/said.js";
+import { has, t } from "../language/strings.js";
+import { Video } from "../picture/video.js";
 
 const AT_WORK = ["moving", "looking", "touching"]; // of the controller
 const REQUESTED = "stop requested"; // the driver's reason; the banner has who or what requested the stop

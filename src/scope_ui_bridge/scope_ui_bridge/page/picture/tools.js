@@ -1,10 +1,10 @@
 // Tools of the picture: zoom and pan, show an earlier picture over the live one, save the view.
 
-import { timeText, wallNow } from "./clock.js";
-import { desk } from "./desk.js";
-import { fileTime, find, press, put, save } from "./dom.js";
-import { singleKey } from "./keys.js";
-import { t } from "./strings.js";
+import { timeText, wallNow } from "../connection/clock.js";
+import { desk } from "../connection/desk.js";
+import { fileTime, find, press, put, save } from "../elements/dom.js";
+import { singleKey } from "../elements/keys.js";
+import { t } from "../language/strings.js";
 
 const MAX_ZOOM = 8;
 const CLICK_PX = 6; // a pointer that moves less has clicked

@@ -1,8 +1,8 @@
 // End of a sign-in: announced some minutes before; a new sign-in here extends it, so that control and page remain.
 
 import { desk } from "./desk.js";
-import { find, put, say } from "./dom.js";
-import { t } from "./strings.js";
+import { find, put, say } from "../elements/dom.js";
+import { t } from "../language/strings.js";
 
 let problem = ""; // why the last attempt was refused
 

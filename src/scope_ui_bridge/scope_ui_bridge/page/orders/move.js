@@ -1,9 +1,9 @@
 // Moving without touching: jog while a button is held, and move to a point; the stylus stays up.
 
-import { desk } from "./desk.js";
-import { find, put } from "./dom.js";
-import { numberOf } from "./number_fields.js";
-import { t } from "./strings.js";
+import { desk } from "../connection/desk.js";
+import { find, put } from "../elements/dom.js";
+import { numberOf } from "../elements/number_fields.js";
+import { t } from "../language/strings.js";
 
 const HOLD_MS = 100;
 const LATE_MS = 200;

@@ -1,9 +1,9 @@
 // A line on the instrument's touch screen: dragged in the picture, set by two clicks, or given in mm; then confirmed.
 
-import { desk } from "./desk.js";
-import { find, press, say } from "./dom.js";
-import { numberOf, putNumber } from "./number_fields.js";
-import { t } from "./strings.js";
+import { desk } from "../connection/desk.js";
+import { find, press, say } from "../elements/dom.js";
+import { numberOf, putNumber } from "../elements/number_fields.js";
+import { t } from "../language/strings.js";
 
 const DRAG_PX = 6; // a pointer that moves less has clicked
 const SHARE = 0.3; // the proposed line goes from -0.3 to 0.3 of the screen's width

@@ -1,9 +1,9 @@
 // Gestures at the selection: press, double, long, hold; turn, clicks and positions of a knob; draw a line.
 
-import { desk } from "./desk.js";
-import { find, svg } from "./dom.js";
-import { numberOf, putNumber } from "./number_fields.js";
-import { seenOf } from "./panel_seen.js";
+import { desk } from "../connection/desk.js";
+import { find, svg } from "../elements/dom.js";
+import { numberOf, putNumber } from "../elements/number_fields.js";
+import { seenOf } from "../picture/panel_seen.js";
 import { collect, collecting } from "./sequence.js";
 
 let dialOf = 0; // number of the selection whose angle the dial shows

@@ -1,9 +1,9 @@
 // Running recordings and their duration, whichever program started them: in the head for everyone, as text next to the buttons.
 
-import { desk } from "./desk.js";
-import { find, put, say } from "./dom.js";
-import { chip } from "./status.js";
-import { t } from "./strings.js";
+import { desk } from "../connection/desk.js";
+import { find, put, say } from "../elements/dom.js";
+import { chip } from "../elements/status.js";
+import { t } from "../language/strings.js";
 
 let running = []; // {who, program, for_s, at_least}
 

@@ -1,7 +1,7 @@
 // Cause of a stop in the page's language.
 
-import { said } from "./said.js";
-import { t } from "./strings.js";
+import { said } from "../language/said.js";
+import { t } from "../language/strings.js";
 
 // The driver's own reasons for a stop that concern an operator's page; other reasons are shown unchanged.
 const DRIVER = [[/^operator's heartbeat lost/, "stopped_heartbeat"]];

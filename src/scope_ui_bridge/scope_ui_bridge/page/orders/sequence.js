@@ -1,10 +1,10 @@
 // Sequences: chosen, typed or collected from the gesture buttons; started with a second click; followed step by step.
 
-import { timeText, wallNow } from "./clock.js";
-import { desk } from "./desk.js";
-import { answers, find, put, putSteady, say } from "./dom.js";
-import { said } from "./said.js";
-import { t } from "./strings.js";
+import { timeText, wallNow } from "../connection/clock.js";
+import { desk } from "../connection/desk.js";
+import { answers, find, put, putSteady, say } from "../elements/dom.js";
+import { said } from "../language/said.js";
+import { t } from "../language/strings.js";
 
 const ARMED_MS = 4000;
 const ICON = { waiting: "○", work: "▶", done: "✓", failed: "✕", unknown: "?" };

@@ -1,11 +1,11 @@
 // Actions of people at the desk: stop, control, select, confirm, services; by pointer and by key.
 
-import { openList, wireChoices } from "./choices.js";
-import { desk } from "./desk.js";
-import { answers, find, say } from "./dom.js";
+import { openList, wireChoices } from "../elements/choices.js";
+import { desk } from "../connection/desk.js";
+import { answers, find, say } from "../elements/dom.js";
 import { act, wireGestures } from "./gestures.js";
-import { singleKey, wireSingleKeys } from "./keys.js";
-import { t } from "./strings.js";
+import { singleKey, wireSingleKeys } from "../elements/keys.js";
+import { t } from "../language/strings.js";
 
 const ARMED_MS = 4000;
 const STOP_ANSWER_MS = 1000;

@@ -1,8 +1,8 @@
 // The layer over the picture: outlines and marks in SVG, and a real button for each control. Coordinates are raw pixels
 // of the picture; the centre of the first pixel is (0, 0), hence the half pixel.
 
-import { doubled, svg } from "./dom.js";
-import { t } from "./strings.js";
+import { doubled, svg } from "../elements/dom.js";
+import { t } from "../language/strings.js";
 
 const ONE_LINE = 30; // letters of a name that certainly fit into one line
 const ROOM = 1000; // px of the picture around a control without neighbours: larger than ever needed

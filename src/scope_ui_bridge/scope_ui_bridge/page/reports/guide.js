@@ -1,10 +1,10 @@
 // Calibration step by step: completed steps, progress, positions of the tip, and accuracy of the result.
 
-import { desk } from "./desk.js";
-import { find, put, svg } from "./dom.js";
-import { said } from "./said.js";
-import { named } from "./status.js";
-import { t } from "./strings.js";
+import { desk } from "../connection/desk.js";
+import { find, put, svg } from "../elements/dom.js";
+import { said } from "../language/said.js";
+import { named } from "../elements/status.js";
+import { t } from "../language/strings.js";
 
 const FRAME_MM = [360, 220]; // minimum extent of the plot; a larger machine's positions extend it
 const GOOD_MM = 0.25;

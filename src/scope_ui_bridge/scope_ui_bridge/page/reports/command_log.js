@@ -1,10 +1,10 @@
 // The command log: newest first, each command one row that is updated until its result is known.
 
-import { timeText, wallNow } from "./clock.js";
-import { fileTime, put, save } from "./dom.js";
-import { localNumbers } from "./numbers.js";
-import { said } from "./said.js";
-import { has, t } from "./strings.js";
+import { timeText, wallNow } from "../connection/clock.js";
+import { fileTime, put, save } from "../elements/dom.js";
+import { localNumbers } from "../language/numbers.js";
+import { said } from "../language/said.js";
+import { has, t } from "../language/strings.js";
 
 export const ICONS = {
   sent: "…", accepted: "▶", reached: "✓", done: "✓", aborted: "✕", rejected: "✕", failed: "✕", no_answer: "?",

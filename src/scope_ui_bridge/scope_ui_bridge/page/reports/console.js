@@ -1,8 +1,8 @@
 // Log messages of the machine's programs for engineers, read only.
 
-import { timeText } from "./clock.js";
-import { find } from "./dom.js";
-import { t } from "./strings.js";
+import { timeText } from "../connection/clock.js";
+import { find } from "../elements/dom.js";
+import { t } from "../language/strings.js";
 
 const MAX_LINES = 300;
 
