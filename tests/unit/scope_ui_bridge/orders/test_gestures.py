@@ -9,7 +9,7 @@ import pytest
 from unit.scope_ui_bridge.desk_rig import FACES, Rig, answer, of_type, pose, refusal, selected
 
 from icu_common.core.geometry.frames import PANEL
-from icu_common.core.panel.gesture import parse_gesture
+from icu_common.core.panel.gesture import Gesture, Point, parse_gesture
 from icu_common.core.panel.panel_state import ControlSeen, PanelSeen
 from scope_ui_bridge.core.effects import Broadcast, SendCommand
 from scope_ui_bridge.core.video import Face
@@ -221,3 +221,9 @@ def test_a_lamp_that_nobody_sees_any_more_is_not_shown_as_lit() -> None:
     assert told(1.0) == [[]], "the panel is not recognised, or recognition has ended"
     rig.desk.panel.show(seen(lamp), rig.now)
     assert told(0.1) == [["green"]]
+
+
+def test_a_gesture_at_a_pixel_survives_its_text() -> None:
+    gesture = Gesture(kind="hold", target=Point(x=700.25, y=3.0, frame="camera_left_optical_frame"), argument=1.0)
+    assert parse_gesture(gesture.text()) == gesture
+    assert math.isfinite(parse_gesture(gesture.text()).argument)

@@ -110,3 +110,21 @@ def test_failed_tries_become_rare() -> None:
     apart = np.diff(tries)
     assert list(np.round(apart)) == sorted(np.round(apart))
     assert apart.max() == pytest.approx(80, abs=2)
+
+
+def test_at_most_two_pictures_are_under_way_and_none_is_sent_twice() -> None:
+    window = FrameWindow()
+    assert window.wants(1)
+    window.sent(1, 0.0)
+    assert not window.wants(1)
+    assert window.wants(4)
+    window.sent(4, 0.0)
+    assert not window.wants(5), "two are under way"
+    window.acknowledged(77, 0.1)
+    assert not window.open, "a number that was never sent settles nothing"
+    window.acknowledged(4, 0.1)
+    assert window.wants(5)
+    window.acknowledged(1, 0.1)
+    window.sent(5, 0.1)
+    window.sent(6, 0.1)
+    assert not window.open, "an old acknowledgement after a newer one settles nothing"

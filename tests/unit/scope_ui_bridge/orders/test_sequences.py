@@ -210,5 +210,5 @@ def test_a_sequencer_that_does_not_answer_is_noticed() -> None:
 
 
 def test_the_stored_example_is_right() -> None:
-    for path in (Path(__file__).parents[3] / "config" / "sequences").glob("*.yaml"):
+    for path in (Path(__file__).parents[4] / "config" / "sequences").glob("*.yaml"):
         assert parse_file(path.read_text(), str(path)).steps
