@@ -40,6 +40,7 @@ ONLY_ELSEWHERE = {
         *("stereo_matching", "stylus", "ball_view", "ball_fit", "plane_fit", "planar_pose", "reprojection"),
         *("pair_rotation", "pair_watch", "layout", "pair", "layout_message", "pair_message", "panel_check"),
         *("structure", "lanes", "edge_alignment", "overlay", "foxglove_sidecar", "passwords", "secret_files", "audit"),
+        "bridge_files",
         *(
             "turned_away",
             "front_door",
@@ -71,7 +72,7 @@ _UNSAID = re.compile(  # calls whose texts go to a log, or to nobody
 def german_phrases() -> dict[str, str]:
     """Return the page's German for what the graph says, by its templates."""
     page = SRC / "scope_ui_bridge" / "scope_ui_bridge" / "page"
-    lines = re.findall(r"^  (\[.*\]),$", (page / "phrases_de.js").read_text(), re.MULTILINE)
+    lines = re.findall(r"^  (\[.*\]),$", (page / "language" / "phrases_de.js").read_text(), re.MULTILINE)
     pairs = [json.loads(line) for line in lines]
     assert len(pairs) == len(dict(pairs)) > 300, "no phrase stands twice"
     return dict(pairs)

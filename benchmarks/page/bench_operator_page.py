@@ -80,7 +80,7 @@ def round_trips(operator: Operator, count: int) -> list[Row]:
     """Measure the round trip of a command to the bridge and its answer, on the page's own connection."""
     took = operator.page.evaluate(
         """async (count) => {
-            const { desk } = await import('/page/desk.js');
+            const { desk } = await import('/page/connection/desk.js');
             const took = [];
             for (let i = 0; i < count; i += 1) {
               const begin = performance.now();

@@ -22,7 +22,7 @@ from rows import Row, bound
 from system.machine_rig import MachineRig
 
 from scope_ui_bridge.adapters.secret_files import write_secret
-from scope_ui_bridge.core.passwords import new_user
+from scope_ui_bridge.core.access import new_user
 
 ADA, EVE = {"name": "ada", "password": "correct horse"}, page_floods.EVE
 _APART_S = 0.6  # a stop of the same person within half a second counts as the same stop

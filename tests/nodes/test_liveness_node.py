@@ -46,7 +46,7 @@ class Console:
         self.program = subprocess.Popen(
             [sys.executable, "-c", REPORTER], env={**os.environ, "ROS_DOMAIN_ID": str(domain)}
         )
-        ros.spin_until(lambda: self.node._liveness._reporters, WITHIN_S)
+        ros.spin_until(lambda: self.node.programs.liveness._reporters, WITHIN_S)
 
     def _take(self, line: dict[str, Any]) -> list[Any]:
         if "stylus_tracker" in line["text"]:

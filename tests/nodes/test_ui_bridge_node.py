@@ -49,8 +49,8 @@ from icu_common.nodes.messages.joints import joint_message, trajectory_message
 from icu_common.nodes.messages.panels import controls_message, panel_state_message
 from icu_common.nodes.messages.places import point_message, pose_message, transform_message
 from icu_common.nodes.messages.results import result_message
-from scope_ui_bridge.core import stop_cause
 from scope_ui_bridge.core.config import BridgeConfig
+from scope_ui_bridge.core.control import stop_cause
 from scope_ui_bridge.nodes import foxglove_sidecar
 from scope_ui_bridge.nodes.bridge_node import BridgeNode
 
@@ -319,7 +319,7 @@ def bridge(ros: Any, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> Any:
     always = [p for topic, p in graph.publishers.items() if topic not in shown]
     ros.spin_until(lambda: all(p.get_subscription_count() for p in always), WITHIN_S)
     assert not any(graph.publishers[topic].get_subscription_count() for topic in shown)
-    outlets = (node._command, node._goal)
+    outlets = (node.outlets._command, node.outlets._goal)
     ros.spin_until(lambda: all(outlet.get_subscription_count() for outlet in outlets), WITHIN_S)
     browser = Browser(ros, url[0])
     try:
@@ -574,8 +574,8 @@ def test_a_point_becomes_a_pixel_goal(ros: Any, bridge: Any) -> None:
 
 def test_stop_goes_out_as_message_and_as_service(ros: Any, bridge: Any) -> None:
     graph, browser, node, _ = bridge
-    ros.spin_until(lambda: node._stop_service.service_is_ready(), WITHIN_S)
-    ros.spin_until(lambda: node._stop_request.get_subscription_count(), WITHIN_S)
+    ros.spin_until(lambda: node.outlets._stop_service.service_is_ready(), WITHIN_S)
+    ros.spin_until(lambda: node.outlets._stop_request.get_subscription_count(), WITHIN_S)
     assert browser.ask(type="stop")["ok"], "without the lease"
     ros.spin_until(lambda: graph.stops and "gantry/stop" in graph.called, WITHIN_S)
     ros.spin_until(lambda: browser.latest("log")["entry"]["status"] == "done", WITHIN_S)
@@ -587,7 +587,7 @@ def test_a_stop_reaches_the_guard_past_the_graph(ros: Any) -> None:
     answers: list[tuple[bool, str]] = []
     path = stop_path(ros.context.get_domain_id(), "/gantry/stop_request")
     with open_stop_socket(path) as guard:
-        node.stop(lambda done, text: answers.append((done, text)))
+        node.outlets.stop(lambda done, text: answers.append((done, text)))
         assert received_stop(guard) == "stop requested" and received_stop(guard) is None
         assert answers == [(True, "")]
     path.unlink()
@@ -596,7 +596,7 @@ def test_a_stop_reaches_the_guard_past_the_graph(ros: Any) -> None:
 def test_a_stop_without_a_driver_is_told_to_be_heard_by_nobody(ros: Any) -> None:
     node = ros.node(BridgeNode, {"port": 0, "token_file": ""})
     answers: list[tuple[bool, str]] = []
-    node.stop(lambda done, text: answers.append((done, text)))
+    node.outlets.stop(lambda done, text: answers.append((done, text)))
     assert answers == [(False, "no driver listens")]
 
 
@@ -605,7 +605,7 @@ def test_heartbeats_are_published_only_with_the_operators_keep_alives(
 ) -> None:
     graph, browser, node, _ = bridge
     monkeypatch.setattr(stop_cause, "HELD_UP_S", WITHIN_S)  # this process may be, which is another cause of a stop
-    ros.spin_until(lambda: node._heartbeat.get_subscription_count(), WITHIN_S)
+    ros.spin_until(lambda: node.outlets._heartbeat.get_subscription_count(), WITHIN_S)
     browser.alive()
     assert browser.ask(type="lease", step="take")["ok"]
 
@@ -640,7 +640,7 @@ def test_services_are_called_and_their_answer_is_shown(
     ros: Any, bridge: Any, service: str, called: str, status: str
 ) -> None:
     graph, browser, node, _ = bridge
-    clients = [node._enable_service, *node._triggers.values()]
+    clients = [node.outlets._enable_service, *node.outlets._triggers.values()]
     ros.spin_until(lambda: all(client.service_is_ready() for client in clients), WITHIN_S)
     assert browser.ask(type="lease", step="take")["ok"]
     assert browser.ask(type="call", service=service)["ok"]

@@ -59,7 +59,7 @@ def browser() -> Iterator[Any]:
 
 # How many answers the page has had, once it has had those to all that it has asked for.
 _ANSWERS = """async () => {
-    const { desk } = await import("/page/desk.js");
+    const { desk } = await import("/page/connection/desk.js");
     await desk.link.ask("jog", { dx: 0, dy: 0, step_mm: 1, ...desk.seen }); // lets go of what nobody holds
     if (!desk.answers) {
         desk.answers = [];
@@ -149,7 +149,8 @@ class Operator:
         act()
         if self.page.evaluate(_ANSWERS) == before:
             return None
-        return dict(self.page.evaluate(f"import('/page/desk.js').then(({{ desk }}) => desk.answers[{before}])"))
+        newest = f"({{ desk }}) => desk.answers[{before}]"
+        return dict(self.page.evaluate(f"import('/page/connection/desk.js').then({newest})"))
 
     def insists(self, act: Callable[[], object], wanted: str = "") -> None:
         """Do it again until its answer has the code ``wanted``, or is no refusal.

@@ -98,7 +98,7 @@ def recognises(operator: Operator) -> None:
     page.click("[data-camera=right]")
     page.wait_for_selector(".layer-edges .over", state="attached", timeout=15_000)
     page.click("[data-camera=left]")
-    shown = "async () => (await import('/page/desk.js')).desk.video.shown?.camera"
+    shown = "async () => (await import('/page/connection/desk.js')).desk.video.shown?.camera"
     operator.until(lambda: page.evaluate(shown) == "left", 15.0, lambda: "the left picture again")
     for layer in ("corners", "edges"):
         page.click(f"[data-layer={layer}]")

@@ -25,7 +25,7 @@ from system.operator_browser import Operator
 from system.test_operator_page import Instrument
 
 from scope_ui_bridge.adapters.secret_files import write_secret
-from scope_ui_bridge.core.passwords import new_user
+from scope_ui_bridge.core.access import new_user
 
 AXE = Path(axe_playwright_python.__file__).parent / "axe.min.js"
 WCAG = ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "wcag22aa", "best-practice"]
@@ -150,7 +150,7 @@ def test_numbers_have_the_languages_decimal_sign_and_are_taken_with_either(
         page.fill("#go-x", "90")
         assert page.eval_on_selector("#go-form", "(form) => form.checkValidity()")
         assert page.locator("#log tr:not(.nothing)").count() == rows, "nothing was sent"
-        said = """async (text) => (await import("/page/said.js")).said(text)"""
+        said = """async (text) => (await import("/page/language/said.js")).said(text)"""
         for text, german in (
             ("lost the operator: no heartbeat for 0.6 s", "0,6 s"),
             ("press:0.120,0.080@base_link", "press:0.120,0.080@base_link"),
@@ -211,7 +211,7 @@ REASONS = {
 
 
 def speaks_german_for_the_graph(operator: Operator) -> None:
-    say = "async (texts) => { const { said } = await import('/page/said.js'); return texts.map(said); }"
+    say = "async (texts) => { const { said } = await import('/page/language/said.js'); return texts.map(said); }"
     wanted = dict(REASONS)
     for english, german in german_phrases().items():
         values = [f"<{number}>" for number in range(english.count("{}"))]
@@ -223,14 +223,14 @@ def speaks_german_for_the_graph(operator: Operator) -> None:
     assert german == f"24 Stellen, rms 0,085 mm, vorhergesagt 0,047 mm, {local:%d.%m.%Y, %H:%M}", (
         "the time of the reader's clock"
     )
-    others = "async (action) => (await import('/page/command_log.js')).actionText({ action })"
+    others = "async (action) => (await import('/page/reports/command_log.js')).actionText({ action })"
     said = operator.page.evaluate(others, "move to (0.1, 0.2, 0) m in base_link")
     assert said == "fahren nach (0,1; 0,2; 0) m in base_link", "where somebody else's goal goes"
-    target = "async (entry) => (await import('/page/command_log.js')).targetText(entry)"
+    target = "async (entry) => (await import('/page/reports/command_log.js')).targetText(entry)"
     for name in ("lamp", "constructor"):  # a key of the page's sentences, and one of every object
         assert operator.page.evaluate(target, {"action": "teach", "target": name}) == name, "a name is no sentence"
     press = {"action": "press", "target": "Menu", "reason": "", "error_mm": 0.05, "effect": ""}
-    spoken = "async (entry) => (await import('/page/command_log.js')).spoken(entry)"
+    spoken = "async (entry) => (await import('/page/reports/command_log.js')).spoken(entry)"
     for more, german in (
         ({"status": "reached", "effect": "lamp green -> red"}, "Wirkung: Lampe grün -> rot."),
         ({"status": "reached", "effect": "none seen"}, "Wirkung: keine gesehen."),
@@ -447,7 +447,7 @@ def test_a_calibration_that_has_drifted_is_not_shown_as_good(browser: Any, instr
     person.hears("state", told)
     page.reload()
     person.sees_controls()
-    set_facts = "async (calibration) => (await import('/page/guide.js')).setFacts({ calibration })"
+    set_facts = "async (calibration) => (await import('/page/reports/guide.js')).setFacts({ calibration })"
     page.evaluate(set_facts, numbers)
     try:
         for language in words:
@@ -469,7 +469,7 @@ def test_a_calibration_that_has_drifted_is_not_shown_as_good(browser: Any, instr
     person.leaves()
 
 
-_SAID = "async (text) => (await import('/page/said.js')).said(text)"
+_SAID = "async (text) => (await import('/page/language/said.js')).said(text)"
 
 
 def _done(page: Any, step: str) -> str:
@@ -523,7 +523,7 @@ def test_what_was_pressed_while_the_page_was_held_up_is_not_done(operator: Opera
         "enable": "late('click', '[data-call=enable]')",
     }
     for name, press in presses.items():
-        page.evaluate("async () => { (await import('/page/desk.js')).desk.refuse({ code: 'no_number' }); }")
+        page.evaluate("async () => { (await import('/page/connection/desk.js')).desk.refuse({ code: 'no_number' }); }")
         page.evaluate(press)
         said = operator.sees("#refusal", r"pressed 5\d\d\d ms ago, while the page was held up")
         assert "at most 4000 ms" in said, name
@@ -549,7 +549,7 @@ def test_an_arrow_that_was_let_go_while_the_page_was_held_up_begins_nothing_more
     page.click("#tab-move")
     operator.until(lambda: page.is_enabled("[data-jog='1,0']"), 15.0, lambda: page.inner_text("#move-why"))
     sent = page.evaluate("""async () => {
-        const { desk } = await import('/page/desk.js');
+        const { desk } = await import('/page/connection/desk.js');
         const { ask } = desk.link;
         const asked = [];
         desk.link.ask = (type, fields) => asked.push(fields.dx) && ask.call(desk.link, type, fields);
@@ -626,7 +626,7 @@ def test_the_picture_that_was_held_last_is_pointed_at_whichever_comes_last(opera
 
     page.route("**/held.jpg*", picture)
     hold = """async (stamps) => {
-        const { setHeld } = await import('/page/teach.js');
+        const { setHeld } = await import('/page/orders/teach.js');
         await Promise.all(stamps.map(([stamp, width]) => setHeld({ stamp, width, height: 24 })));
         return document.getElementById('held').width;
     }"""
@@ -801,7 +801,7 @@ def test_a_sign_in_that_ends_is_told_and_put_off_while_something_moves(browser: 
     person.takes_control()
     person.sees("#you", f"^{name} · 1 viewing")
     assert page.is_hidden("#stay")
-    beside = "async (name) => (await import('/page/strings.js')).t('you', { name, count: 2 })"
+    beside = "async (name) => (await import('/page/language/strings.js')).t('you', { name, count: 2 })"
     assert page.evaluate(beside, "דנה") == "\u2068דנה\u2069 · 2 viewing", "else 2 would stand to the left of it"
     ends["sign_in_ends_s"] = 250.0
     try:
@@ -925,7 +925,7 @@ def test_a_beginner_is_told_what_to_do_next(browser: Any, instrument: Instrument
         first.selects("CH1_SCALE", "Channel 1 scale")
         signs = page.locator("[data-act=turn], [data-act=click]").all_inner_texts()
         told = "{ action: 'record', target: '', status: 'sent', reason: '', error_mm: null }"
-        said = page.evaluate(f"import('/page/command_log.js').then(({{ spoken }}) => spoken({told}))")
+        said = page.evaluate(f"import('/page/reports/command_log.js').then(({{ spoken }}) => spoken({told}))")
         assert said.startswith("Record: starting, nothing is recorded yet."), "its program takes seconds to begin"
         assert signs == ["↺ Turn", "Turn ↻", "↺ Click", "Click ↻"], "counter-clockwise is + in the angle beside it"
     finally:
@@ -978,7 +978,7 @@ def test_a_screen_reader_hears_of_requests_and_results_and_not_of_each_millimetr
 
 # What is said at once when a stop ends a press: the bridge tells both ends in one go.
 _TWO_ENDS = """async () => {
-  const { desk } = await import('/page/desk.js');
+  const { desk } = await import('/page/connection/desk.js');
   const common = { wall_ms: Date.now(), who: 'Ada', error_mm: null, duration_s: null, effect: '' };
   for (const [entry, own] of [
     [9001, { action: 'press', target: 'Menu', status: 'aborted', reason: 'it broke off: look at the panel' }],
@@ -1059,7 +1059,7 @@ def test_the_chosen_sequence_stays_chosen_when_the_link_comes_back(operator: Ope
     again = """async (names) => {
         const last = { name: "", who: "", steps: [], number: 0, status: "", reason: "", state: "" };
         const stored = names.map((name) => ({ name, title: "", steps: [`press:${name}`] }));
-        (await import('/page/sequence.js')).setSequences(stored, last);
+        (await import('/page/orders/sequence.js')).setSequences(stored, last);
     }"""
     page.evaluate(again, ["SAVE", "MENU"])
     page.click("#tab-sequence")
@@ -1175,7 +1175,7 @@ def test_moving_while_held_and_to_a_point(operator: Operator, instrument: Instru
     operator.sees("#chip-driver", "Moving")
     page.keyboard.press("Shift+ArrowLeft")
     answered = """async () => {
-        const { desk } = await import('/page/desk.js');
+        const { desk } = await import('/page/connection/desk.js');
         return (await desk.link.ask("jog", { dx: 0, dy: 0, step_mm: 1, ...desk.seen })).ok;
     }"""
     assert page.evaluate(answered), "and so has been what the key asked for, and that it was let go"
@@ -1197,7 +1197,7 @@ def test_an_arrow_that_is_held_at_a_limit_orders_one_step_and_says_why(
     operator.until(lambda: page.is_enabled("[data-jog='1,0']"), 15.0, lambda: page.inner_text("#move-why"))
     operator.sees("#position-x", r"\d")
     numbers = """async () => {
-        const { desk } = await import('/page/desk.js');
+        const { desk } = await import('/page/connection/desk.js');
         await desk.link.ask("select", {});
         return document.querySelectorAll("#log tr:not(.nothing)").length;
     }"""
@@ -1244,7 +1244,7 @@ def test_times_are_the_bridges_and_those_of_another_day_have_their_date(browser:
     at = datetime(2026, 3, 29, 23, 50, 7)
     page.evaluate(
         """async (entry) => {
-            const { desk } = await import('/page/desk.js');
+            const { desk } = await import('/page/connection/desk.js');
             desk.link.alive = () => {}; // the bridge tells the time no more
             desk.link.dispatchEvent(new CustomEvent('log', { detail: { entry } }));
         }""",
@@ -1254,7 +1254,7 @@ def test_times_are_the_bridges_and_those_of_another_day_have_their_date(browser:
     def time_of(days: int) -> str:
         # Each time anew: an answer that was on its way sets the clock once more.
         shown_ms = (at.timestamp() + days * 86_400) * 1e3
-        page.evaluate("async ms => (await import('/page/clock.js')).setClock(ms)", shown_ms)
+        page.evaluate("async ms => (await import('/page/connection/clock.js')).setClock(ms)", shown_ms)
         return str(page.inner_text("#log tr >> nth=0 >> td >> nth=0").replace("\xa0", " "))
 
     for days, expected in ((0, "23:50:07"), (1, "Mar 29 23:50:07")):
@@ -1288,7 +1288,7 @@ def test_the_log_is_searched_and_exported(operator: Operator) -> None:
 
 # How much of a long log, px, is not on the page that is printed.
 _PRINTED = """async () => {
-  const { desk } = await import('/page/desk.js');
+  const { desk } = await import('/page/connection/desk.js');
   const entry = { wall_ms: Date.now(), who: 'Ada', action: 'press', target: 'Menu', status: 'done', reason: '' };
   const more = { error_mm: null, duration_s: null, effect: '' };
   for (let number = 9001; number < 9061; number += 1) {
@@ -1309,15 +1309,16 @@ def test_engineers_read_what_the_programs_say(operator: Operator, instrument: In
     page.reload()
     operator.sees("#console-lines", r"warn ui_bridge: stop")  # also what was said before one came
     operator.takes_control()
-    page.evaluate("async (counts) => (await import('/page/console.js')).showCounts(counts)", {"bytes_sent": "12"})
+    show = "async (counts) => (await import('/page/reports/console.js')).showCounts(counts)"
+    page.evaluate(show, {"bytes_sent": "12"})
     assert page.locator("#driver-facts > div > *").all_inner_texts() == ["bytes sent", "12"]
     page.click("#reset")
     operator.sees("#chip-driver", "Idle")
     page.click("#tab-calibrate")
     operator.sees("#guide-machine", "✓")
     plotted = """async (places) => {
-        const { desk } = await import('/page/desk.js');
-        const { sampleGuide } = await import('/page/guide.js');
+        const { desk } = await import('/page/connection/desk.js');
+        const { sampleGuide } = await import('/page/reports/guide.js');
         const { state } = desk;
         places.forEach((position_mm, at) => {
             desk.state = { ...state, position_mm, calibration: { state: "calibrating", reason: `${at + 1}/12` } };
@@ -1334,7 +1335,7 @@ def test_engineers_read_what_the_programs_say(operator: Operator, instrument: In
 
 # What is written anew though it shows the same, while ten pictures are drawn.
 _REWRITTEN = """async () => {
-  const { desk } = await import("/page/desk.js");
+  const { desk } = await import("/page/connection/desk.js");
   const shown = (nodes) => [...nodes].map((node) => node.outerHTML ?? node.data).join("");
   const rewritten = [];
   const note = (changes) => {
@@ -1431,7 +1432,7 @@ def test_outlines_edges_and_the_way_are_seen_on_any_picture(
     # A picture that was under way when the layer was switched off does not bring it again.
     page.evaluate(
         """async () => { const counts = window.counts = { edges: 0, pictures: 0 };
-            const { desk } = await import('/page/desk.js');
+            const { desk } = await import('/page/connection/desk.js');
             const added = (changes) => changes.reduce((sum, change) => sum + change.addedNodes.length, 0);
             const edges = new MutationObserver((changes) => { counts.edges += added(changes); });
             document.querySelector('[data-layer=edges]').addEventListener('click', () => {

@@ -289,7 +289,7 @@ def test_a_sequence_is_collected_followed_and_stopped(
 
 # What is said of a sequence of which the sequencer has not spoken yet.
 _SENT = """async () => {
-  const { renderSequence, setSequence } = await import('/page/sequence.js');
+  const { renderSequence, setSequence } = await import('/page/orders/sequence.js');
   setSequence({ name: '', status: 'sent', number: 0, steps: ['press:MENU', 'press:SAVE'], reason: '', state: 'idle' });
   renderSequence();
   return document.getElementById('sequence-said').textContent;

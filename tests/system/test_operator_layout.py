@@ -10,7 +10,7 @@ from system.operator_browser import Operator
 from system.test_operator_desk import instrument, operator
 from system.test_operator_page import Instrument
 
-from scope_ui_bridge.adapters.front_door import PAGE
+from scope_ui_bridge.adapters.web.front_door import PAGE
 
 __all__ = ["instrument", "operator"]  # fixtures
 pytestmark = [pytest.mark.browser, pytest.mark.system, pytest.mark.timeout(300)]
@@ -27,7 +27,7 @@ SIZES = {
 # The places of all that can be clicked, by a name and number of each, while the page believes something: nothing that
 # the bridge tells meanwhile comes between.
 _PLACES = """async (what) => {
-  const { desk } = await import('/page/desk.js');
+  const { desk } = await import('/page/connection/desk.js');
   const before = desk.state;
   const told = (state) => desk.link.dispatchEvent(new CustomEvent('state', { detail: { ...before, ...state } }));
   const hide = (object, name, value) => Object.defineProperty(object, name, { get: () => value, configurable: true });
@@ -147,8 +147,9 @@ def test_a_telephone_shows_every_cause_of_a_stop_as_a_whole(browser: Any, instru
         operator.reads(language)
         cut += page.evaluate(
             """async () => {
-              const { desk } = await import('/page/desk.js');
-              const [strings] = Object.values(await import(`/page/strings_${document.documentElement.lang}.js`));
+              const { desk } = await import('/page/connection/desk.js');
+              const language = document.documentElement.lang;
+              const [strings] = Object.values(await import(`/page/language/strings_${language}.js`));
               const stopped = { state: 'stopped', reason: 'stop requested' };
               return Object.keys(strings).filter((name) => name.startsWith('stopped_')).filter((code) => {
                 const stop_cause = { code, who: 'Watchdog', silence_s: 1.2 };
@@ -166,7 +167,7 @@ def test_a_telephone_shows_every_cause_of_a_stop_as_a_whole(browser: Any, instru
 
 # Which states lie under the banner, by their values' places, once the page has drawn the stop.
 _COVERED = """async (cause) => {
-  const { desk } = await import('/page/desk.js');
+  const { desk } = await import('/page/connection/desk.js');
   const stopped = { state: 'stopped', reason: 'stop requested' };
   const detail = { ...desk.state, driver: stopped, controller: stopped, stop_cause: cause };
   desk.link.dispatchEvent(new CustomEvent('state', { detail }));
@@ -217,7 +218,7 @@ def test_letters_of_twice_the_size_leave_all_of_the_head_in_reach(
 # By how much the words beside the buttons are longer than their place.
 _CUT = "(({ scrollHeight, clientHeight }) => scrollHeight - clientHeight)(document.getElementById('verdict'))"
 _LONG_RESULT = """async () => {
-  const { desk } = await import('/page/desk.js');
+  const { desk } = await import('/page/connection/desk.js');
   const own = { entry: 9001, action: 'press', target: 'Menu', status: 'aborted', reason: 'look; '.repeat(60) };
   const entry = { ...own, wall_ms: Date.now(), who: 'Ada', error_mm: null, duration_s: null, effect: '' };
   desk.link.dispatchEvent(new CustomEvent('log', { detail: { entry } }));
@@ -288,7 +289,7 @@ def test_a_telephone_shows_picture_gestures_result_and_stop_at_once(
 
 # A sequence at work and what a calibration tells, as the bridge would send them.
 _AT_WORK = """async () => {
-  const { desk } = await import('/page/desk.js');
+  const { desk } = await import('/page/connection/desk.js');
   const steps = ['press:MENU', 'press:SINGLE', 'press:SAVE'];
   const run = { name: 'capture', who: 'Ada', number: 2, status: 'accepted', reason: '', state: 'step 2 of 3' };
   const calibration = { rms_mm: '0.08', held_out_max_mm: '0.1', predicted_sigma_mm: '0.05' };
@@ -423,7 +424,7 @@ def test_a_telephone_cuts_no_word_of_a_button_and_none_of_the_log_in_pieces(
     assert cut == []
     widest = page.evaluate(
         """async () => {
-          const { desk } = await import('/page/desk.js');
+          const { desk } = await import('/page/connection/desk.js');
           const place = '/home/somebody/.local/state/icu_gantry/sessions/2026-11-27_00-54-42-714746';
           const what = { entry: 9999, wall_ms: Date.now(), who: 'Ada', action: 'end_record', target: '' };
           const entry = { ...what, status: 'done', reason: `recorded to ${place}: 991 messages`, error_mm: 0.4 };
@@ -447,7 +448,7 @@ def test_a_telephone_cuts_no_word_of_a_button_and_none_of_the_log_in_pieces(
 
 # Which controls' names do not fit into the picture, where a panel has long ones, all around.
 _CUT_TAGS = """async () => {
-  const { desk } = await import('/page/desk.js');
+  const { desk } = await import('/page/connection/desk.js');
   const label = 'Infusion pump channel A: bolus volume, upper alarm limit, increase';
   const places = [5, 300, 420, 640, 850, 950, 1255].flatMap((x) => [5, 180, 350, 380, 690].map((y) => [x, y, 20, 20]));
   const controls = places.map((box) => ({ kind: 'button', label, box, outline: [], name: `AT_${box}` }));

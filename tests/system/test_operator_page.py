@@ -264,7 +264,8 @@ def test_the_stop_button_of_a_viewer_and_of_a_page_without_script(browser: Any, 
     viewer.page.click("#stop")
     viewer.sees("#banner", "STOP has not got through. Use the wired emergency stop")
     assert "Moving" in viewer.page.inner_text("#chip-driver"), "the bridge has heard it, but the driver has not"
-    tell = "import('/page/desk.js').then(({ desk }) => desk.link.dispatchEvent(new CustomEvent('log', { detail })))"
+    send = "({ desk }) => desk.link.dispatchEvent(new CustomEvent('log', { detail }))"
+    tell = f"import('/page/connection/desk.js').then({send})"
     stop = {"entry": 99, "wall_ms": 0, "who": "Operator 2", "action": "stop", "target": "", "status": "no_answer"}
     operator.page.evaluate(f"detail => {tell}", {"entry": {**stop, "reason": "", "error_mm": None, "duration_s": None}})
     operator.sees("#banner", "STOP has not got through. Use the wired emergency stop")
@@ -511,7 +512,7 @@ _HIT_BY_OTHERS = """() => {
 
 # Whatever is seen of them, controls are told apart by their whole names.
 _CUT_NAMES = """async () => {
-  const { setPanel, renderPanel } = await import('/page/panel_seen.js');
+  const { setPanel, renderPanel } = await import('/page/picture/panel_seen.js');
   const shown = [1, 2].map((n) => ({ name: `CH${n}_POSITION`, label: `Channel ${n} position` }));
   setPanel(shown.map(({ name }) => ({ name, hidden_by: 'stylus', marks: {}, angle_deg: null, changed_ms: 0 })));
   renderPanel(shown);

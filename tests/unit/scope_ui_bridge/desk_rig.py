@@ -14,7 +14,7 @@ from icu_common.core.goals.results import GoalResult, Outcome
 from scope_ui_bridge.core.config import BridgeConfig
 from scope_ui_bridge.core.desk import Desk
 from scope_ui_bridge.core.effects import Broadcast, Effect, Now, Send
-from scope_ui_bridge.core.scene import Face, Scene
+from scope_ui_bridge.core.video import Face, Scene
 
 START_NS = 1_700_000_000_000_000_000
 BOOT = "boot-1"
@@ -45,8 +45,7 @@ class Rig:
     """A desk, ready to move, with one page (``a``) unless told otherwise."""
 
     def __init__(self, config: BridgeConfig | None = None, *, operator: bool = True) -> None:
-        self.desk = Desk(config or BridgeConfig(), BOOT, "DSO")
-        self.desk.scene = scene()
+        self.desk = Desk(config or BridgeConfig(), BOOT, "DSO", scene=scene())
         self.seconds = 100.0
         self.set_s = 0.0
         """By how much the computer's clock has been set, the monotonic one not."""
@@ -94,7 +93,7 @@ class Rig:
         return self.ask(self.a, type="select", **{"camera": "left", "stamp": str(self.stamp), **what})
 
     def act(self, gesture: str = "press", argument: float = math.nan, **more: Any) -> list[Effect]:
-        number = self.desk._selection_count
+        number = self.desk.chosen.count
         fields = {"gesture": gesture, "selection": number, "camera": "left", "stamp": str(self.stamp), **more}
         if not math.isnan(argument):
             fields["argument"] = argument
@@ -109,7 +108,7 @@ class Rig:
 
     def end(self, stamp_ns: int, outcome: Outcome = Outcome.REACHED) -> list[Effect]:
         """Let the controller end a goal."""
-        return self.desk.result(GoalResult(goal_id=str(stamp_ns), goal="", outcome=outcome), self.now)
+        return self.desk.answers.result(GoalResult(goal_id=str(stamp_ns), goal="", outcome=outcome), self.now)
 
 
 def of_type(effects: list[Effect], kind: Any) -> list[Any]:

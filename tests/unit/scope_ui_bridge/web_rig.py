@@ -17,10 +17,10 @@ from unit.scope_ui_bridge.desk_rig import scene
 
 from scope_ui_bridge.adapters.graph_port import GraphError
 from scope_ui_bridge.adapters.secret_files import AuditFile
-from scope_ui_bridge.adapters.web_server import WebServer
+from scope_ui_bridge.adapters.web.web_server import WebServer
+from scope_ui_bridge.core.access import SignIn
 from scope_ui_bridge.core.config import BridgeConfig
 from scope_ui_bridge.core.desk import Desk
-from scope_ui_bridge.core.sign_in import SignIn
 
 WITHIN_S = 20.0
 # A test whose process is held up for some seconds looks at what it has asked for all the same.
@@ -83,8 +83,7 @@ class Rig:
     def __init__(self, audit: AuditFile | None = None, **config: Any) -> None:
         self.config = BridgeConfig(**{"port": 0, **PATIENT, **config})
         self.graph = RecordingGraph()
-        self.desk = Desk(self.config, "boot", "DSO")
-        self.desk.scene = scene()
+        self.desk = Desk(self.config, "boot", "DSO", scene=scene())
         self.desk.machine.set_state("driver", "idle")
         self.desk.machine.set_state("controller", "ready")
         secrets = (f"secret-{number}" for number in itertools.count())

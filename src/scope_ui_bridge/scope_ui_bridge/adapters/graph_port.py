@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from typing import Any, Protocol
 
 import numpy.typing as npt
+
+from scope_ui_bridge.core.effects import Now
 
 
 class GraphError(RuntimeError):
@@ -58,3 +61,10 @@ class GraphPort(Protocol):
         ``answered`` is called once, in any thread.
         """
         ...
+
+
+def read_clocks(graph: GraphPort) -> Now:
+    """Return the time of one event by all clocks."""
+    return Now(
+        mono_s=time.monotonic(), ros_ns=graph.ros_ns(), wall_s=time.time(), simulated=graph.runs_by_simulated_time
+    )

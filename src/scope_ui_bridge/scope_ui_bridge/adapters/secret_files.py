@@ -14,8 +14,8 @@ from itertools import chain
 from pathlib import Path
 from typing import Any
 
-from scope_ui_bridge.core.audit import BAD_BYTES, AuditError, Gap, chain_line, line_before, verify
-from scope_ui_bridge.core.passwords import User, parse_users
+from scope_ui_bridge.core.access import User, parse_users
+from scope_ui_bridge.core.records import BAD_BYTES, AuditError, Gap, chain_line, line_before, verify
 
 _LOG = logging.getLogger(__name__)
 

@@ -13,9 +13,9 @@ from typing import Any
 from aiohttp import web
 
 from scope_ui_bridge.adapters.graph_port import GraphPort
+from scope_ui_bridge.core.access import Session
 from scope_ui_bridge.core.desk import Desk
 from scope_ui_bridge.core.effects import Effect, Now, StopNow
-from scope_ui_bridge.core.sign_in import Session
 
 _MAX_PRESS, _MAX_DIGITS = 64, 15
 

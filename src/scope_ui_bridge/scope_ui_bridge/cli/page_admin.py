@@ -20,9 +20,9 @@ from icu_common.adapters.processes.program_end import ends_quietly
 from icu_common.adapters.state_folder import default_state_folder
 from icu_common.core.configuration.option_bounds import named_path
 from scope_ui_bridge.adapters.secret_files import older_files, read_users, write_secret
-from scope_ui_bridge.core.audit import BAD_BYTES, AuditError, gaps, line_before, verify
+from scope_ui_bridge.core.access import PasswordError, Role, composed, new_user
 from scope_ui_bridge.core.config import BridgeConfig
-from scope_ui_bridge.core.passwords import PasswordError, Role, composed, new_user
+from scope_ui_bridge.core.records import BAD_BYTES, AuditError, gaps, line_before, verify
 
 _DAYS = 825  # maximum that browsers accept
 _MAX_COMMON_NAME = 64  # limit of X.520; browsers read the alternative names instead

@@ -6,7 +6,7 @@ from collections.abc import Hashable
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
-from scope_ui_bridge.core.refusal import Refusal
+from scope_ui_bridge.core.wire import Refusal
 
 OWN_PLACES = 8
 """Maximum number of connections of one kind for one user; a new one beyond it ends the user's oldest."""

@@ -18,7 +18,7 @@ DROPPED_PER_S, DROPPED_BURST = 10.0, 80.0
 OPENED_PER_S, OPENED_BURST = 4.0, 40.0
 """New connections of one user; eight pages that reconnect at once open sixteen."""
 REQUESTS_PER_S, REQUESTS_BURST = 40.0, 400.0
-"""Plain requests of one user; a page needs forty files. Requests beyond the rate wait."""
+"""Plain requests of one user; a page needs fifty files. Requests beyond the rate wait."""
 PINGS_PER_S, PINGS_BURST = 4.0, 40.0
 """Pings and pongs on one connection."""
 PICTURES_PER_S, PICTURES_BURST = 120.0, 240.0

@@ -1,1 +1,0 @@
-"""The page's reports on the parameters of the graph's nodes."""
