@@ -74,6 +74,7 @@ CHAINS: dict[str, Chain] = {
     "mjpeg422_85": lambda image, rng: mjpeg(noisy(image, rng), 85, _422),
     "mjpeg420_90": lambda image, rng: mjpeg(noisy(image, rng), 90, _420),
     "mjpeg420_80": lambda image, rng: mjpeg(noisy(image, rng), 80, _420),
+    "bayer_mjpeg422_85": lambda image, rng: mjpeg(bayer(image, rng), 85, _422),
     "webcam": lambda image, rng: mjpeg(bayer(image, rng), 80, _420),
 }
 """The formats by name; ``webcam`` is Bayer, noise, MJPEG of quality 80 and 4:2:0 together."""

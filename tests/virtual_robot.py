@@ -5,6 +5,7 @@ errors, contacts, pictures), the stylus tracker, recognition and the hand-eye pr
 between them; what those cost is a delay here: a picture's results come ``PICTURE_S`` after its exposure, a message
 takes ``MESSAGE_S``. Pictures are drawn only while somebody waits for them: recognition looks at the panel before each
 goal and while an effect is waited for; in between its last answer is repeated (all the time with ``watch_panel``).
+Recognition reads the left image of the newest pair, after the tracker has measured the tip in that pair.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ import dataclasses
 import heapq
 import itertools
 import math
+from collections import deque
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -71,8 +73,6 @@ MESSAGE_S = 0.002
 TICK_S = 0.05
 HEARTBEAT_S = 0.2
 PANEL_S = 0.2
-PANEL_LATE_S = 0.1
-"""From exposure to what recognition says about it."""
 SAMPLE_S = 0.004
 PANEL_LOOKS = 6
 Event = Callable[[], None]
@@ -105,6 +105,10 @@ class VirtualRobot:
         self.stereo = StereoModel(left=self.cameras[0], right=self.cameras[1])
         self.tracker = StylusTracker(from_mapping(StylusConfig, parameters("stylus_tracker")), self.stereo)
         self._free_tips = FreeTips(self.tracker)
+        # The right view at a left image's instant is interpolated between the right images of two pairs.
+        self._newest: deque[Pair] = deque(maxlen=2)
+        self._tracked_ns = 0
+        self._seen: tuple[Any, Any] = (None, None)
         self._recognition = from_mapping(RecognitionConfig, parameters("recognition", "recognition"))
         self.recogniser = PanelRecogniser(self.layout, self._recognition)
         self.pair = PairWatch(
@@ -207,29 +211,28 @@ class VirtualRobot:
         self._agreement = PoseAgreement(self._recognition.agreement, self.layout.size_mm)
         for _ in range(times):
             self.run_for(PANEL_S)
-            self._recognise(shots(self.config, self.now))
+            self._recognise()
 
-    def _recognise(self, due: Sequence[Shot]) -> None:
-        pictures = self._pictures(due)
-        if 0 not in pictures:  # the left camera lost its image
+    def _recognise(self) -> None:
+        """Look for the panel in the newest pair that the tracker has received."""
+        if not self._newest:
             return
-        left, stamp = pictures[0], self._stamp_ns(due[0])
-        paired = len(due) == 2 and abs(self._stamp_ns(due[1]) - stamp) <= self._pairs.tolerance_ns
+        for pair in self._newest:
+            if pair.left_ns > self._tracked_ns and (pair.apart or pair is self._newest[-1]):
+                self._track(pair)
+        left, right, stamp = *self._seen, self._tracked_ns
         gray = cv2.cvtColor(left, cv2.COLOR_BGR2GRAY)
         found = self.recogniser.locate(gray, self._detector.detect(gray).xy, self.cameras[0])
         pose = self._agreement.add(None if found is None else found.camera_from_panel)
         self._pose = pose if pose is not None else self._pose
         self._confidence = found.agreement if found is not None and pose is not None else 0.0
         if found is not None and pose is not None:
-            if paired:
-                self._tips.add(stamp, self.tracker.find(left, pictures[1]).tip)
             settings = parameters("recognition")
             tip, age_ns = self._tips.at(stamp, 1e9 * settings["tip_max_age_s"])
             wander_m, camera = 1e-9 * age_ns * settings["tip_speed_m_s"], self.cameras[0]
             seen = self.reader.read(left, pose, camera, stamp, patches=found.patches, tip=tip, wander_m=wander_m)
             self._tell(msg.PanelState(seen=seen))
-            if 1 in pictures:  # the panel rests, so the images need no common instant
-                self._watch_pair(gray, pictures[1], pose, stamp)
+            self._watch_pair(gray, right, pose, stamp)
         self._panel_stamp = stamp
         self._say_panel_now()
 
@@ -240,6 +243,7 @@ class VirtualRobot:
         if self.pair.look(gray, cv2.cvtColor(right, cv2.COLOR_BGR2GRAY), pose, stamp):
             self._pair_ns = stamp
             self.tracker.recalibrate(self.pair.cameras)
+            self._free_tips.forget()
             self._tell(msg.PairSeen(pair=self.pair.state))
             if self.pair.views is not None and self.pair.state.known:
                 self.controls.look(self.pair.views, self.pair.camera_from_panel, self.pair.state.rotation_rad)
@@ -428,13 +432,19 @@ class VirtualRobot:
             self._act(self._procedure.image(stamp, self.now_ns))
 
     def _see(self, pair: Pair) -> None:
-        stamp = pair.left_ns
+        self._newest.append(pair)
         if self.controller.phase not in LOOKING and self._procedure is None:
             return
-        if self._procedure is not None and stamp > self._rested_ns:
+        if self._procedure is not None and pair.left_ns > self._rested_ns:
             return
+        self._track(pair)
+
+    def _track(self, pair: Pair) -> None:
+        """Measure the tip in a pair of images, as the tracker does."""
+        stamp = self._tracked_ns = pair.left_ns
         pictures = self._pictures((pair.left, pair.right))
-        found = self._free_tips.find(pair, pictures[0], pictures[1])
+        self._seen = pictures[0], pictures[1]
+        found = self._free_tips.find(pair, *self._seen)
         self._tips.add(stamp, found.tip)
         if found.tip is not None:
             self._tell(msg.TipSeen(in_camera=found.tip, stamp_ns=stamp))
@@ -449,9 +459,8 @@ class VirtualRobot:
         if self._pose is None or not self.camera_on:
             return
         wanted = self.watch_panel or self.controller.phase in (*UP, Phase.READ, Phase.WAIT)
-        due = shots(self.config, self.now)
         if wanted:
-            self._after(PANEL_LATE_S, lambda: self._recognise(due))
+            self._recognise()
         else:
             self._panel_stamp = self.now_ns
             self._say_panel_now()

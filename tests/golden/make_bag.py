@@ -90,7 +90,7 @@ class RecordedRobot(VirtualRobot):
     def __init__(self, writer: BagWriter) -> None:
         self._writer: BagWriter | None = None
         self._waiting_writer = writer
-        self._stamp, self._both = 0, True
+        self._stamp, self._both = 0, False
         self._info_s = self._drawn_s = self._joints_s = -1.0
         self.sampling = False
         self._still = StillWatch(from_mapping(StillConfig, {**parameters("hand_eye", "still"), "tips": TIPS}))
@@ -211,14 +211,21 @@ class RecordedRobot(VirtualRobot):
         else:
             self._tell(msg.TipUnseen(stamp_ns=self._stamp))
 
-    def _recognise(self, due: Sequence[Shot]) -> None:
-        self._stamp, self._both = self._stamp_ns(due[0]), False
-        super()._recognise(due[:1])
-
     def _see(self, pair: Pair) -> None:
+        self._newest.append(pair)
         if self.sampling or self.controller.phase in LOOKING:
-            self._stamp, self._both = pair.left_ns, True
-            self._pictures((pair.left, pair.right))
+            self._both = True
+            self._track(pair)
+            self._both = False
+
+    def _track(self, pair: Pair) -> None:
+        """Draw the pair for the tracker, or its left image alone for recognition, which has no tip then."""
+        self._stamp = self._tracked_ns = pair.left_ns
+        images = self._pictures((pair.left, pair.right)[: 2 if self._both else 1])
+        self._seen = images[0], images.get(1)
+
+    def _watch_pair(self, gray: Any, right: Any, pose: Any, stamp: int) -> None:
+        return
 
     def _every_panel(self) -> None:
         self.watch_panel = self.now - self._drawn_s > UNSEEN_S and bool(self.controller.goal)

@@ -53,3 +53,20 @@ def test_calibration_ends_in_the_usual_time_and_presses_are_reached(name: str, p
         print(control, result.outcome.value, result.reason, f"{result.error_m * 1e3:.3f} mm")
         assert result.outcome is Outcome.REACHED, result.reason
         assert any(record.get("control") == control for record in robot.take_records())
+
+
+def test_recognition_knows_where_the_stylus_is_if_cameras_run_freely() -> None:
+    """Before, recognition had no tip at 13 ms, and the robot's own arm counted as a hand over the controls."""
+    robot = VirtualRobot(SEED, bench={"imaging.free_running.enabled": True, "imaging.free_running.phase_ms": 13.0})
+    robot.prepare(calibrate=False)
+    control = next(c for c in robot.layout.controls if c.name == "TRIG_MENU")
+    # The raised stylus hides what is above it in the image.
+    place = robot.bench.panel_from.apply(np.array([*control.position_mm, 0.0]) / 1000) - (0.0, 0.018, 0.0)
+    assert robot.command("", place=(float(place[0]), float(place[1]))).outcome is Outcome.REACHED
+    robot.look_at_panel()
+    seen = robot.controller._world.seen
+    assert seen is not None
+    hidden = {c.name: c.hidden_by for c in seen.controls if c.hidden_by}
+    print(hidden)
+    assert hidden[control.name] == "stylus"
+    assert "something" not in hidden.values()

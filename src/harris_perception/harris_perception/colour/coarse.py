@@ -21,6 +21,8 @@ _SOFT = 0.8
 """Ratio of third difference to slope at colour edges: 1.0 or more in sharp images, 0.3 to 0.75 in MJPEG with 4:2:0."""
 _SOFTER_THAN_LUMA = 0.68
 """The same ratio relative to the luma's: defocus softens both alike, 4:2:0 gives 0.2 to 0.7."""
+_SHARED_ROWS = 0.45
+"""The same ratio down the columns, below which rows share their colour: 0.2 to 0.5 in 4:2:0, 0.4 to 1.6 in 4:2:2."""
 _EDGE = 0.3
 """Minimum share of the steepest slope for a pixel to belong to an edge."""
 _NEIGHBOURS = np.array([0.25, 0.5, 0.25])
@@ -46,6 +48,12 @@ def coarse_colour(colours: Picture, chroma: Values) -> Picture | None:
     smooth = np.asarray(cv2.sepFilter2D(parts, -1, along, down))
     smooth[..., 0] = parts[..., 0]
     return np.asarray(cv2.cvtColor(smooth, cv2.COLOR_YCrCb2BGR), np.uint8)
+
+
+def rows_share_colour(chroma: Values) -> bool:
+    """Return whether two rows of a coarse chroma (h, w) share their colour, as in 4:2:0 but not in 4:2:2."""
+    down = np.ascontiguousarray(chroma.T)
+    return _repeated(down) or _fineness(down) < _SHARED_ROWS
 
 
 def _repeated(chroma: npt.NDArray[Any]) -> bool:

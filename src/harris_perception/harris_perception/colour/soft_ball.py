@@ -23,10 +23,11 @@ _LUMA_REACH_PX, _CHROMA_REACH_PX = 2.0, 4.0
 """Distances beyond the outline at which the ball is no longer visible in luma and chroma."""
 _LUMA_BLUR_PX, _CHROMA_BLUR_PX = (0.6, 0.15), (1.3, 0.15)
 """Expected blur and its standard deviation: of the lens, and of colour sampled at every second pixel."""
-_LUMA_NOISE = 3.0
-"""Standard deviation, in grey levels, of the noise that MJPEG of quality 80 adds to each pixel's luma."""
-_CHROMA_NOISE = 0.25
-"""The same for the chroma, as a share of the ball's: quantisation is coarse, and neighbours have the same error."""
+_LUMA_NOISE, _CHROMA_NOISE = 6.0, 0.06
+"""Standard deviations of a pixel's luma, in grey levels, and of its chroma, as a share of the ball's. The luma contains
+deviations from Lambert's law, which shift the centre where one side of the ball is as dark as its background."""
+_LUMA_NOISE_420, _CHROMA_NOISE_420 = 3.0, 0.25
+"""The same if two rows share one colour: quantisation of the chroma is coarse, and neighbours have the same error."""
 _LEAST_COUNTED = 0.6
 """Minimum share of the luma's pixels that a ball explains; 0.9 is usual."""
 _LARGEST_ERROR = 2.0
@@ -37,7 +38,7 @@ _LARGEST_SHIFT_PX = 2.5
 
 
 def measure_soft(
-    colours: Picture, at: Array, first: Array, focus: Array, radius: float, max_error: float
+    colours: Picture, at: Array, first: Array, focus: Array, radius: float, max_error: float, *, rows_share: bool
 ) -> tuple[Array, SoftFit]:
     """Return the ball's centre (2,) in the touching plane, px, and the fit.
 
@@ -55,6 +56,8 @@ def measure_soft(
         The ball's expected radius, px.
     max_error
         Maximum rms misfit in a sharp image, as a share of the ball's chroma.
+    rows_share
+        Whether two rows share one colour, as in 4:2:0.
 
     Raises
     ------
@@ -65,11 +68,12 @@ def measure_soft(
     chroma = mixed_chroma_of(colours)
     border = np.concatenate([chroma[0], chroma[-1], chroma[:, 0], chroma[:, -1]])
     plain = np.full_like(chroma, float(np.median(border)))
-    centre, fit = _fitted(luma, chroma, plain, at, first, focus, radius)
+    noises = (_LUMA_NOISE_420, _CHROMA_NOISE_420) if rows_share else (_LUMA_NOISE, _CHROMA_NOISE)
+    centre, fit = _fitted(luma, chroma, plain, at, first, focus, radius, noises)
     if fit.errors[1] > _LARGEST_ERROR * max_error:
         # A coloured object is behind the ball or next to it.
         behind = filled(chroma, first + focus @ centre, radius + _CHROMA_FILLED_PX)
-        centre, fit = _fitted(luma, chroma, behind, at, first, focus, radius)
+        centre, fit = _fitted(luma, chroma, behind, at, first, focus, radius, noises)
     if fit.errors[1] > _LARGEST_ERROR * max_error:
         raise Doubt(f"brightness is {fit.errors[1]:.2f} of the ball's off a shaded disc")
     if fit.counted[0] < _LEAST_COUNTED:
@@ -78,12 +82,19 @@ def measure_soft(
 
 
 def _fitted(
-    luma: Values, chroma: Values, around: Values, at: Array, first: Array, focus: Array, radius: float
+    luma: Values,
+    chroma: Values,
+    around: Values,
+    at: Array,
+    first: Array,
+    focus: Array,
+    radius: float,
+    noises: tuple[float, float],
 ) -> tuple[Array, SoftFit]:
     """Fit twice: the first fit improves the position of the area in which the background is filled in."""
     values = chroma.ravel().astype(np.float64)
     inside = np.hypot(*at.T) < 0.7 * radius
-    noise = _CHROMA_NOISE * max(float(np.median(values[inside])) if inside.any() else 0.0, 10.0)
+    noise = noises[1] * max(float(np.median(values[inside])) if inside.any() else 0.0, 10.0)
     centre = np.zeros(2)
     for beyond in _FILLED_PX:
         distance = np.hypot(*(at - centre).T)
@@ -95,7 +106,7 @@ def _fitted(
                 use=distance < radius + _LUMA_REACH_PX,
                 blur_px=_LUMA_BLUR_PX[0],
                 blur_sigma_px=_LUMA_BLUR_PX[1],
-                noise=_LUMA_NOISE,
+                noise=noises[0],
             ),
             Channel(
                 values=values,

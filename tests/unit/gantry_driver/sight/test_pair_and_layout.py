@@ -94,8 +94,10 @@ def test_a_corrected_control_is_touched_where_it_is() -> None:
     panel = PanelMap(controls=(control("RUN_STOP", "button", 208, 127, 16, 9, 3),), extent=np.zeros((2, 2)))
     moved = seen_panel(panel, {"RUN_STOP": deviation(DeviationCode.CORRECTED, -0.6)})
     assert moved.controls[0].centre == pytest.approx([0.2074, 0.127])
-    same = seen_panel(panel, {"RUN_STOP": deviation(DeviationCode.AS_LAID_OUT, -0.1)})
-    assert same.controls[0].centre == pytest.approx([0.208, 0.127])
+    likely = seen_panel(panel, {"RUN_STOP": deviation(DeviationCode.AS_LAID_OUT, -0.1)})
+    assert likely.controls[0].centre == pytest.approx([0.2079, 0.127])
+    refused = seen_panel(panel, {"RUN_STOP": deviation(DeviationCode.REFUSED, -1.4)})
+    assert refused.controls[0].centre == pytest.approx([0.208, 0.127])
 
 
 def test_results_state_what_is_not_known() -> None:

@@ -13,13 +13,11 @@ from icu_common.core.alignment.layout import ControlDeviation, DeviationCode
 
 
 def seen_panel(panel: PanelMap, deviations: Mapping[str, ControlDeviation]) -> PanelMap:
-    """Return the panel with the positions of all controls corrected by their measured deviations."""
-    if not any(deviation.code is DeviationCode.CORRECTED for deviation in deviations.values()):
-        return panel
+    """Return the panel with all controls at their most likely positions; a refused one keeps that of its layout."""
     controls = []
     for control in panel.controls:
         deviation = deviations.get(control.name)
-        if deviation is not None and deviation.code is DeviationCode.CORRECTED:
+        if deviation is not None and deviation.code is not DeviationCode.REFUSED:
             control = replace(control, centre=control.centre + 1e-3 * np.array(deviation.offset_mm))
         controls.append(control)
     return replace(panel, controls=tuple(controls))

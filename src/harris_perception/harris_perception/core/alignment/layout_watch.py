@@ -3,12 +3,17 @@
 Each call of ``look`` measures a few controls in both images. The median of a control's measurements counts once enough
 of them agree. Its standard deviation combines their scatter, an error shared by all measurements, and the unknown
 height.
+
+The print gives the pose, and a print is seldom in register with the holes of a panel: all controls are shifted alike.
+The median of the measured controls gives this shift, also for controls that cannot be measured. A control's own
+deviation is weighted by its certainty relative to that of the other controls.
 """
 
 from __future__ import annotations
 
 from collections import deque
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -25,7 +30,34 @@ _MEDIAN_SQUARE = 0.455
 _HEIGHTS = 1.5
 """Ratio of height error to position error on a panel far beyond its tolerance: a drawing or an image gives positions,
 but not heights."""
+_OF_MEDIAN = 1.25
+"""Standard deviation of a median, as a multiple of that of a mean."""
 Shifts = tuple[TopShift, TopShift]
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class _Panel:
+    """Deviations of the panel's controls from its layout, in the plane of the face.
+
+    Attributes
+    ----------
+    median_mm
+        (2,) median of the measured deviations.
+    shift_mm, shift_sigma_mm
+        (2,) shift of all controls relative to the print, which gives the pose, and its standard deviation: the median
+        less the part that bevels and shadows may explain.
+    place_mm, height_mm
+        Standard deviations of an unmeasured control's position and height.
+    own_mm
+        Standard deviation of the controls' own deviations, as far as the measurements show it.
+    """
+
+    median_mm: Array
+    shift_mm: Array
+    shift_sigma_mm: float
+    place_mm: float
+    height_mm: float
+    own_mm: float = 0.0
 
 
 class LayoutWatch:
@@ -88,15 +120,35 @@ class LayoutWatch:
 
     def deviations(self) -> dict[str, ControlDeviation]:
         """Return the deviation of each control, by its name."""
-        height_mm = place_mm = self._layout.tolerance_mm / np.sqrt(3)
-        first = {c.name: self._estimate(c, height_mm) for c in self._proud}
-        measured = [offset for offset, _ in filter(None, first.values())]
+        panel = self._panel()
+        return {c.name: self._judge(c, panel) for c in self._layout.controls}
+
+    def _panel(self) -> _Panel:
+        """Return what all measured controls say about the panel."""
+        tolerance_mm = self._layout.tolerance_mm / np.sqrt(3)
+        first = list(filter(None, (self._estimate(c, tolerance_mm) for c in self._proud)))
+        if len(first) < self.config.min_controls:
+            still = np.zeros(2)
+            return _Panel(
+                median_mm=still, shift_mm=still, shift_sigma_mm=0.0, place_mm=tolerance_mm, height_mm=tolerance_mm
+            )
+        measured = np.array([offset for offset, _ in first])
+        median = np.median(measured, axis=0)
+        seen_mm = float(np.sqrt(np.median(np.square(measured - median)) / _MEDIAN_SQUARE))
+        sigma_mm = float(np.hypot(_OF_MEDIAN * seen_mm / np.sqrt(len(measured)), self.config.shared_sigma_mm))
+        # W. James, C. Stein, "Estimation with Quadratic Loss", 1961: a shift of the size of its error is none.
+        share = max(0.0, 1.0 - 2.0 * sigma_mm**2 / max(float(median @ median), 1e-12))
+        noise = float(np.median([np.diag(self._alone(covariance)) for _, covariance in first]))
         # If controls are farther from the layout than its declared tolerance, its heights are as inaccurate.
-        if len(measured) >= self.config.min_controls:
-            seen_mm = float(np.sqrt(np.median(np.square(measured)) / _MEDIAN_SQUARE))
-            height_mm = max(height_mm, seen_mm * (_HEIGHTS if seen_mm > 2.0 * height_mm else 1.0))
-            place_mm = max(place_mm, seen_mm)
-        return {c.name: self._judge(c, place_mm, height_mm) for c in self._layout.controls}
+        height_mm = max(tolerance_mm, seen_mm * (_HEIGHTS if seen_mm > 2.0 * tolerance_mm else 1.0))
+        return _Panel(
+            median_mm=median,
+            shift_mm=share * median,
+            shift_sigma_mm=sigma_mm,
+            place_mm=max(tolerance_mm, seen_mm),
+            height_mm=height_mm,
+            own_mm=float(np.sqrt(max(seen_mm**2 - noise, 0.0))),
+        )
 
     def _estimate(self, control: Control, height_mm: float) -> tuple[Array, Array] | None:
         """Return offset (2,) mm and covariance (2, 2) of a control; None if too few measurements agree."""
@@ -128,23 +180,25 @@ class LayoutWatch:
             return None
         return np.asarray(found[:2]), np.asarray(covariance[:2, :2] + self.config.shared_sigma_mm**2 * np.eye(2))
 
-    def _judge(self, control: Control, place_mm: float, height_mm: float) -> ControlDeviation:
+    def _judge(self, control: Control, panel: _Panel) -> ControlDeviation:
         tolerance, limit = self._layout.tolerance_mm, self.config.max_offset_mm
-        found = self._estimate(control, height_mm)
+        found = self._estimate(control, panel.height_mm)
+        code, offset, sigma = DeviationCode.UNMEASURED, np.zeros(2), np.full(2, tolerance / np.sqrt(3))
         # A flat control is part of the print, from which the pose is measured.
-        unmeasured_mm = place_mm if control.height_mm > 0 else tolerance / np.sqrt(3)
-        code, offset, sigma = DeviationCode.UNMEASURED, np.zeros(2), np.full(2, unmeasured_mm)
+        if found is None and control.height_mm > 0:
+            offset, sigma = panel.shift_mm, np.full(2, np.hypot(panel.place_mm, panel.shift_sigma_mm))
         if found is not None:
-            offset, covariance = found
-            sigma = np.sqrt(np.diag(covariance))
+            measured, covariance = found
             code = DeviationCode.AS_LAID_OUT
-            if offset @ np.linalg.solve(covariance, offset) > 2 * self.config.significant_sigmas**2:
-                code = DeviationCode.CORRECTED
-            if code is DeviationCode.CORRECTED and np.hypot(*offset) > limit:
-                code = DeviationCode.REFUSED
-            if code is DeviationCode.AS_LAID_OUT:
-                # The control keeps its layout position, but its sigma covers the measured position.
-                sigma = np.minimum(np.hypot(sigma, offset), np.maximum(tolerance / np.sqrt(3), sigma))
+            if self._significant(measured, covariance):
+                code = DeviationCode.CORRECTED if np.hypot(*measured) <= limit else DeviationCode.REFUSED
+            offset, apart = measured, measured - panel.median_mm
+            if not self._significant(apart, covariance):
+                share = panel.own_mm**2 * np.linalg.inv(panel.own_mm**2 * np.eye(2) + self._alone(covariance))
+                offset = panel.shift_mm + share @ apart
+            # The deviation covers the measured position.
+            sigma = np.sqrt(np.diag(covariance))
+            sigma = np.minimum(np.hypot(sigma, measured - offset), np.maximum(tolerance / np.sqrt(3), sigma))
         return ControlDeviation(
             name=control.name,
             code=code,
@@ -152,6 +206,13 @@ class LayoutWatch:
             sigma_mm=(float(sigma[0]), float(sigma[1])),
             limit_mm=limit,
         )
+
+    def _alone(self, covariance: Array) -> Array:
+        """Return a covariance without the error by bevels and shadows, which shifts all controls alike."""
+        return np.asarray(covariance - self.config.shared_sigma_mm**2 * np.eye(2))
+
+    def _significant(self, offset_mm: Array, covariance: Array) -> bool:
+        return bool(offset_mm @ np.linalg.solve(covariance, offset_mm) > 2 * self.config.significant_sigmas**2)
 
 
 def text_of(deviations: Mapping[str, ControlDeviation]) -> str:

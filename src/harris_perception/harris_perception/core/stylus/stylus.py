@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from harris_perception.colour.coarse import coarse_colour
+from harris_perception.colour.coarse import coarse_colour, rows_share_colour
 from harris_perception.colour.soft_ball import measure_soft
 from harris_perception.core.alignment.layout_config import LayoutConfig
 from harris_perception.core.alignment.pair_config import PairConfig
@@ -156,6 +156,7 @@ class StylusTracker:
         self._result = Search(tip=None, reason="not seen")
         self._apart_m = 0.0
         self._coarse: deque[bool] = deque(maxlen=_COARSE_PAIRS)
+        self._shared_rows: deque[bool] = deque(maxlen=_COARSE_PAIRS)
 
     def recalibrate(self, stereo: StereoModel) -> None:
         """Use another calibration of the same pair from the next images on."""
@@ -294,6 +295,7 @@ class StylusTracker:
         self._coarse.append(found)
         coarse = found or 2 * sum(self._coarse) > len(self._coarse)
         if coarse:
+            self._shared_rows.extend(rows_share_colour(mixed_chroma_of(colours)) for colours, _ in parts)
             parts = [(part[0] if colours is None else colours, part[1]) for part, colours in zip(parts, smooth)]
             left, right = (
                 self._soft(*part, model, radius) for part, model, radius in zip(parts, models, self._radii_px(tip))
@@ -332,7 +334,13 @@ class StylusTracker:
         beside_it = [model.project(frame.T @ np.array([*(step / focal), 1.0]))[0] for step in np.eye(2)]
         at = in_plane(view.rays, frame, focal)
         offset, fit = measure_soft(
-            colours, at, first - corner, np.column_stack(beside_it) - first[:, None], radius, config.max_fit_error
+            colours,
+            at,
+            first - corner,
+            np.column_stack(beside_it) - first[:, None],
+            radius,
+            config.max_fit_error,
+            rows_share=2 * sum(self._shared_rows) > len(self._shared_rows),
         )
         pixel = self._pixel(frame.T @ np.array([*(offset / focal), 1.0]), model)
         return Outline(centre_px=pixel, error=fit.errors[1], arc_deg=circle.arc_deg)

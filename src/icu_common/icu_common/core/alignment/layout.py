@@ -11,11 +11,11 @@ class DeviationCode(str, Enum):
     """Treatment of a control's deviation."""
 
     UNMEASURED = "unmeasured"
-    """The control could not be measured: the layout's tolerance applies."""
+    """The control could not be measured: the shift of all controls and the layout's tolerance apply."""
     AS_LAID_OUT = "as_laid_out"
     """No significant deviation."""
     CORRECTED = "corrected"
-    """The measured position of the control is used."""
+    """The control deviates significantly from its layout."""
     REFUSED = "refused"
     """The deviation is above the limit: the control is not touched."""
 
@@ -34,7 +34,7 @@ class ControlDeviation:
     code
         See :class:`DeviationCode`.
     offset_mm
-        Measured position minus the layout's along the panel's x and y; zero where it was not measured.
+        Most likely position minus the layout's along the panel's x and y.
     sigma_mm
         Standard deviations of the used position along x and y.
     limit_mm
