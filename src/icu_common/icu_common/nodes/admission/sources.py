@@ -19,12 +19,10 @@ from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.subscription import Subscription
 from rclpy.topic_endpoint_info import TopicEndpointInfo
-from rosgraph_msgs.msg import Clock as ClockMessage
 
 from icu_common.adapters.processes.process_identity import ParticipantProcesses
 from icu_common.core.admission.sources import Source, TopicSources, rivals_text
-from icu_common.nodes.graph_node import CLOCK_TOPIC
-from icu_common.nodes.qos import SENSOR
+from icu_common.nodes.graph_node import CLOCK_TOPIC, GraphLifecycleNode, GraphNode
 from icu_common.nodes.timers import runs_by_clock_topic
 
 LOOK_AGAIN_S = 0.1
@@ -78,15 +76,21 @@ class SourceWatch:
         """Subscribe as ``node.create_subscription`` does, and watch the topic's sources."""
         events = SubscriptionEventCallbacks(matched=lambda _: self.look(topic))
         made = self._node.create_subscription(message_type, topic, callback, profile, event_callbacks=events, **kwargs)
+        self._watch(topic, made, judge)
+        return made
+
+    def _watch(self, topic: str, made: Subscription, judge: Judge) -> None:
         self._watched[topic] = _Watched(made, judge, TopicSources(self._processes.is_alive))
         self.look(topic)
-        return made
 
     def watch_clock(self) -> None:
         """Watch the sources of the graph's time, if the node follows it: a second source would age all fresh data."""
-        if runs_by_clock_topic(self._node):
-            # The node's own subscription belongs to rclpy, which does not report its matches.
-            self.subscribe(ClockMessage, CLOCK_TOPIC, lambda _: None, SENSOR, raw=True)
+        node = self._node
+        if not runs_by_clock_topic(node):
+            return
+        assert isinstance(node, GraphNode | GraphLifecycleNode) and node.clock_subscription is not None
+        node.add_clock_match_listener(lambda: self.look(CLOCK_TOPIC))
+        self._watch(CLOCK_TOPIC, node.clock_subscription, rivals_text)
 
     def names(self, topic: str) -> tuple[str, ...]:
         """Return the full names of a topic's sources at the last query."""
