@@ -2,23 +2,28 @@
 
 from __future__ import annotations
 
+import functools
 import os
 import subprocess
 import sys
 import time
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.parameter import Parameter
+from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import CameraInfo, Image
 
+from icu_common.adapters.steps.step_ledger import LEDGER_VARIABLE
 from icu_common.core.processes.supervision import DEAF, READY_VARIABLE
 from icu_common.nodes import diagnostics, qos
 from icu_common.nodes.diagnostics import Diagnostics
-from icu_common.nodes.graph_node import this_process
+from icu_common.nodes.graph_node import GraphNode, this_process
 from icu_common.nodes.hearing import Hearing
+from icu_common.nodes.messages.heads import time_message
 
 LISTENER = """
 import functools, sys
@@ -140,6 +145,34 @@ def test_by_the_clock_of_a_recording_which_may_stand_still_nobody_is_deaf(ros: A
     seen = ros.collect(node, DiagnosticArray, "/diagnostics", qos.RESULTS)
     ros.spin_until(lambda: (other.tell("ok", "well", []), seen)[1], 10.0)
     assert [hearing.deaf(float(now_s)) for now_s in range(100, 120)] == [""] * 20
+
+
+def test_in_a_simulation_the_steps_of_its_time_show_that_others_are_heard(
+    ros: Any, hearing: Hearing, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(LEDGER_VARIABLE, str(tmp_path / "steps"))
+    this_process.count_steps()
+    assert this_process.ledger is not None
+    this_process.ledger.time_ns = 10**18
+    try:
+        node = ros.node(functools.partial(GraphNode, "node"), {"use_sim_time": True})
+        bench = ros.node(functools.partial(GraphNode, "bench"), {"use_sim_time": True})
+        clock = bench.create_publisher(Clock, "/clock", qos.RESULTS)
+        hearing.listen(node)
+        assert {subscription.topic_name for subscription in node.subscriptions} == {"/clock"}
+        ros.spin_until(lambda: clock.get_subscription_count() == 2, 10.0)
+        clock.publish(Clock(clock=time_message(10**18 + 1)))
+        ros.spin_until(lambda: node.get_clock().now().nanoseconds > 10**18, 10.0)
+        told = [hearing.deaf(float(now_s)) for now_s in range(100, 108)]
+        assert told[0] == "" and told[-1].startswith("all topics")
+        clock.publish(Clock(clock=time_message(10**18 + 2)))
+        ros.spin_until(lambda: node.get_clock().now().nanoseconds > 10**18 + 1, 10.0)
+        assert hearing.deaf(108.0) == ""
+        Hearing(after_crash=False, others=True).listen(bench)
+        topics = {subscription.topic_name for subscription in bench.subscriptions}
+        assert "/diagnostics" in topics, "its own time shows nothing about others"
+    finally:
+        this_process.end()
 
 
 def test_a_subscription_that_was_given_up_unheard_is_not_asked_any_more(ros: Any, hearing: Hearing) -> None:

@@ -254,6 +254,18 @@ def test_time_goes_on_from_where_it_was_when_the_bench_is_restarted(ledgers: tup
     assert (second.now_ns, second.now_s) == (first.now_ns, first.now_s), "the board has not been restarted"
 
 
+def test_time_of_images_is_published_with_the_step_that_ends_at_one(ledgers: tuple[StepLedger, StepLedger]) -> None:
+    steps_ns: list[int] = []
+    images_ns: list[int] = []
+    steps = StepTime(ledgers[0], STEP_NS, steps_ns.append, images_ns.append)
+    first_ns = steps.now_ns + round(2.5 * STEP_NS)
+    for _ in range(3):
+        steps.advance(first_ns)
+    steps.advance(first_ns + 4 * STEP_NS, long=True)
+    assert len(steps_ns) == 4
+    assert images_ns == [first_ns, first_ns + 4 * STEP_NS] == steps_ns[2:]
+
+
 def test_stepped_bench_without_a_ledger_is_refused(ros: Any, tmp_path: Path) -> None:
     settings = {"layout": str(LAYOUT_FILE), "stepped": True}
     with pytest.raises(ConfigError, match=r"stepped needs a ledger of steps \(ICU_STEP_LEDGER\), which bring_up makes"):

@@ -204,15 +204,36 @@ programs:
 """
 
 
+def _with_preparation(folder: Path) -> None:
+    """Add the programs of PREPARED, and a preparation that succeeds at once."""
+    (folder / "config" / "graph.yaml").write_text(PREPARED)
+    (folder / "lib" / "gantry_driver").mkdir()
+    for name in ("p/mock_grbl", "p/ui_bridge", "gantry_driver/gantry_prepare"):
+        shutil.copy(folder / "lib" / "p" / "driver", folder / "lib" / name)
+    (folder / "lib" / "gantry_driver" / "gantry_prepare").write_text("#!/bin/sh\n")
+
+
+def test_preparation_begins_while_a_program_waits_for_its_device(
+    tmp_path: Path, two: Callable[..., subprocess.Popen[str]]
+) -> None:
+    _with_preparation(tmp_path)
+    with (tmp_path / "config" / "graph.yaml").open("a") as graph:
+        graph.write(f"  camera: {{package: p, executable: driver, waits_for: {tmp_path}/frames}}\n")
+    with two("--prepare") as process:
+        assert process.stdout is not None
+        first = next(line for line in process.stdout if line.startswith(("Ready.", "started")))
+        (tmp_path / "frames").touch()
+        started = next(line for line in process.stdout if line.startswith("started"))
+        process.terminate()
+        process.stdout.read()
+    assert first.startswith("Ready.") and started == "started 4 programs of the profile bench\n"
+
+
 @pytest.mark.parametrize("without", [(), ("--without", "ui_bridge")])
 def test_a_page_that_is_not_started_is_not_to_be_opened(
     without: tuple[str, ...], tmp_path: Path, two: Callable[..., subprocess.Popen[str]]
 ) -> None:
-    (tmp_path / "config" / "graph.yaml").write_text(PREPARED)
-    (tmp_path / "lib" / "gantry_driver").mkdir()
-    for name in ("p/mock_grbl", "p/ui_bridge", "gantry_driver/gantry_prepare"):
-        shutil.copy(tmp_path / "lib" / "p" / "driver", tmp_path / "lib" / name)
-    (tmp_path / "lib" / "gantry_driver" / "gantry_prepare").write_text("#!/bin/sh\n")
+    _with_preparation(tmp_path)
     with two("--prepare", *without) as process:
         assert process.stdout is not None
         ready = next(line for line in process.stdout if line.startswith("Ready."))

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from rclpy.clock_type import ClockType
+from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.lifecycle import LifecycleNode
 from rclpy.node import Node
 from rclpy.publisher import Publisher
@@ -115,6 +116,9 @@ class _Graph:
     # Node.__init__ subscribes to /clock before a constructor of this class could set them.
     _clock_timers: list[_ClockTimer]
     _clock_listeners: list[Callable[[int], object]]
+    _clock_match_listeners: list[Callable[[], object]]
+    clock_subscription: Subscription | None = None
+    """rclpy's subscription to the graph's time; None while the node uses its own clock."""
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
@@ -173,6 +177,8 @@ class _Graph:
         ledger, observer = this_process.ledger, this_process.observer if observed else None
         name, before = "", None
         runs_timers = topic == CLOCK_TOPIC and not raw  # rclpy's own subscription; a recorder takes the bytes
+        if runs_timers:
+            kwargs.setdefault("event_callbacks", SubscriptionEventCallbacks(matched=self._on_clock_match))
 
         def take(message: Any) -> None:
             if before is not None:
@@ -194,6 +200,8 @@ class _Graph:
         else:
             made = super().create_subscription(msg_type, topic, counted, _lossless(qos_profile), **kwargs)  # type: ignore[misc]
         name = made.topic_name
+        if runs_timers:
+            self.clock_subscription = made
         if observer is not None:
             before = observer(self, made)  # type: ignore[arg-type]
         if ledger is not None:
@@ -242,6 +250,14 @@ class _Graph:
     def add_clock_listener(self, callback: Callable[[int], object]) -> None:
         """Call back with each time on ``/clock``, in ns, before the timers of that step."""
         self._clock_listeners = [*getattr(self, "_clock_listeners", []), callback]
+
+    def add_clock_match_listener(self, callback: Callable[[], object]) -> None:
+        """Call back when a publisher of the graph's time has been matched or lost."""
+        self._clock_match_listeners = [*getattr(self, "_clock_match_listeners", []), callback]
+
+    def _on_clock_match(self, status: Any) -> None:
+        for listener in getattr(self, "_clock_match_listeners", []):
+            listener()
 
     def _run_clock_timers(self, now_ns: int) -> None:
         for listener in getattr(self, "_clock_listeners", []):

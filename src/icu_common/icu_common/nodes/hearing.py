@@ -18,7 +18,7 @@ from rclpy.node import Node
 from rclpy.subscription import Subscription
 
 from icu_common.nodes import diagnostics, qos
-from icu_common.nodes.graph_node import GraphNode, this_process
+from icu_common.nodes.graph_node import CLOCK_TOPIC, GraphNode, this_process
 from icu_common.nodes.timers import runs_by_clock_topic
 
 LIMIT_S = 8.0
@@ -75,9 +75,16 @@ class Hearing:
         return hears
 
     def listen(self, node: GraphNode) -> None:
-        """Subscribe to the other programs' diagnostics of each second, unless a recording sets the time."""
+        """Subscribe to the other programs' diagnostics of each second, unless a recording sets the time.
+
+        In a simulation each step's message on ``/clock`` shows as much, without another subscription.
+        """
         if runs_by_clock_topic(node) and this_process.ledger is None:
             self._others = False
+            return
+        clock = node.resolve_topic_name(CLOCK_TOPIC)
+        if this_process.simulated and clock not in (publisher.topic_name for publisher in node.publishers):
+            node.add_clock_listener(lambda _: self._on_others())
             return
         node.create_subscription(
             DiagnosticArray, "/diagnostics", self._on_diagnostics, qos.SENSOR, observed=False, raw=True
@@ -86,7 +93,10 @@ class Hearing:
     def _on_diagnostics(self, data: bytes) -> None:
         # Serialised, as sender and content do not matter; the process's own messages take another path.
         if not any(_serialised(name) in data for name in diagnostics.own_names):
-            self._any.heard, self._any.silent_s = True, 0.0
+            self._on_others()
+
+    def _on_others(self) -> None:
+        self._any.heard, self._any.silent_s = True, 0.0
 
     def deaf(self, now_s: float) -> str:
         """Return the topic on which no messages arrive although they are sent, and why; empty if there is none."""

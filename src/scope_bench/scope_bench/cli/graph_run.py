@@ -83,7 +83,7 @@ class GraphRun:
         self._serves_page = any(p.executable == "ui_bridge" for p in programs)
         self._page = ""
         self._reads_keys = sys.stdin is not None and sys.stdin.isatty()
-        self._complete = False
+        self._complete = self._prepares = False
         self._report: Report | None = None
         self._remaining = RemainingTime()
         self._repeats = 0
@@ -126,11 +126,13 @@ class GraphRun:
             if together and (late or all(p.waits_for is None or p.waits_for.exists() for p in together)):
                 self._start_together(together, temporary)
                 together = []
+            if self._options.prepare and not self._prepares and not any(map(_is_driver, (*waiting, *together))):
+                # The preparation waits for the driver itself, and connects while other programs start.
+                self._prepares = True
+                self._start_preparation()
             if not waiting and not together and not self._complete:
                 self._complete = True
                 self._screen_started()
-                if self._options.prepare:
-                    self._start_preparation()
             self._show(total)
             self._group.watch(_REST_S if self._box else _TURN_S)
             self._note_hanging(hanging_file)
@@ -146,7 +148,9 @@ class GraphRun:
             self._load.describe(lambda text: self._screen.say(f"processor: {text}"))
 
     def _screen_started(self) -> None:
-        text = f"started {len(self._group.running())} programs of the profile {self._options.profile}"
+        text = (
+            f"started {len(self._group.running().keys() - {PREPARE})} programs of the profile {self._options.profile}"
+        )
         if self._screen.terminal:
             self._screen.log(text)
         else:
@@ -165,7 +169,7 @@ class GraphRun:
     def _rescue(self, programs: list[Program]) -> list[str]:
         """Return the command that lifts a stylus after a kill of driver and guard; empty without a driver."""
         for program in programs:
-            if (program.package, program.executable) == DRIVER and (port := program.value("port")):
+            if _is_driver(program) and (port := program.value("port")):
                 path = find_executable("gantry_driver", "gantry_guard", self._here)
                 return [str(path), "--port", str(port), "--recover"]
         return []
@@ -294,3 +298,7 @@ class GraphRun:
                 self._prepared(text)
         else:
             self._screen.say(f"{name:>17} ! {text}")
+
+
+def _is_driver(program: Program) -> bool:
+    return (program.package, program.executable) == DRIVER

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import functools
 from pathlib import Path
 from typing import Any
 
+from rclpy.publisher import Publisher
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Float32
 
@@ -23,6 +25,8 @@ from scope_bench.adapters.bench.step_time import StepTime
 from scope_bench.core.configuration import BenchConfig
 
 DIAGNOSTICS_S = 1.0
+IMAGE_CLOCK_TOPIC = "clock_of_images"
+"""Topic with the time of each image alone: a node that needs no finer time uses it as its ``/clock`` (graph.yaml)."""
 FACTOR_S = 1.0
 """Wall seconds between two values of ``simulation_factor``."""
 
@@ -48,12 +52,9 @@ class BenchNode(GraphNode):
     def _step_time(self, config: BenchConfig) -> StepTime:
         if this_process.ledger is None:
             raise ConfigError(f"stepped needs a ledger of steps ({LEDGER_VARIABLE}), which bring_up makes")
-        clock = self.create_publisher(Clock, CLOCK_TOPIC, RESULTS)
-        return StepTime(
-            this_process.ledger,
-            round(1e9 / config.step_rate_hz),
-            lambda now_ns: clock.publish(Clock(clock=time_message(now_ns))),
-        )
+        clocks = [self.create_publisher(Clock, topic, RESULTS) for topic in (CLOCK_TOPIC, IMAGE_CLOCK_TOPIC)]
+        step, image = (functools.partial(_publish_time, clock) for clock in clocks)
+        return StepTime(this_process.ledger, round(1e9 / config.step_rate_hz), step, image)
 
     def _show_factor(self) -> None:
         self._factor.publish(Float32(data=self._simulation.health().factor))
@@ -83,6 +84,10 @@ class BenchNode(GraphNode):
     def close(self) -> None:
         """Stop the simulation and remove its sockets."""
         self._simulation.stop()
+
+
+def _publish_time(clock: Publisher, now_ns: int) -> None:
+    clock.publish(Clock(clock=time_message(now_ns)))
 
 
 def _judged(health: Health) -> tuple[str, str]:

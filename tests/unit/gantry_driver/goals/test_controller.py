@@ -72,6 +72,37 @@ def test_a_goal_where_the_machine_stands_needs_no_trajectory() -> None:
     assert result.outcome is Outcome.REACHED and bench.paths == []
 
 
+def test_a_move_above_or_below_the_last_one_moves_the_stylus_alone() -> None:
+    bench = Bench().start()
+    for z in (0.0, -0.01, -0.004):
+        assert bench.go(0.12, 0.08, z).outcome is Outcome.REACHED
+    across, down, up = bench.paths
+    np.testing.assert_allclose(across, [[0.119, 0.079, 0.0], [0.12, 0.08, 0.0]], atol=1e-12)
+    np.testing.assert_allclose(down, [[0.12, 0.08, 0.01]], atol=1e-12)
+    np.testing.assert_allclose(up, [[0.12, 0.08, 0.0], [0.12, 0.08, 0.004]], atol=1e-12)
+
+
+def _push(bench: Bench) -> None:
+    for x in (0.121, 0.12):
+        bench.readings = np.array([x, 0.08, 0.0])
+        bench.run(0.1)
+
+
+def _disable(bench: Bench) -> None:
+    for state in ("disabled", "idle"):
+        bench.tell(msg.DriverState(text=state))
+        bench.run(0.1)
+
+
+@pytest.mark.parametrize("meanwhile", [_push, _disable, lambda bench: bench.do("press:RUN_STOP")])
+def test_a_position_is_entered_again_after_any_other_motion(meanwhile: Callable[[Bench], object]) -> None:
+    bench = Bench().start()
+    bench.go(0.12, 0.08)
+    meanwhile(bench)
+    bench.go(0.12, 0.08, -0.01)
+    np.testing.assert_allclose(bench.paths[-1][-3], [0.119, 0.079, 0.0], atol=1e-12)
+
+
 def test_press_takes_exactly_these_trajectories() -> None:
     bench = Bench().start()
     result = bench.do("press:RUN_STOP id=a1")

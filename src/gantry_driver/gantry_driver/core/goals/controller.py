@@ -27,7 +27,7 @@ from gantry_driver.core.job import controller_messages as msg
 from gantry_driver.core.job.controller_config import ControllerConfig
 from gantry_driver.core.job.goal_job import MOVING, NANO, OTHERWISE, STATES, Fault, Job, Phase
 from gantry_driver.core.job.patience import CLICK_MAX_AGE_S, HoldUp
-from gantry_driver.core.motion.motion_plan import OutOfReach
+from gantry_driver.core.motion.motion_plan import OutOfReach, is_at
 from gantry_driver.core.motion.scene import Refused
 from icu_common.core.alignment.findings import Cause
 from icu_common.core.configuration.text_bounds import plain
@@ -148,6 +148,7 @@ class Controller(GoalPhases):
                     count, settled_ns = self.config.tip_count, self._now_ns + nanoseconds(self.config.settle_s)
                     self._rest_look = Look(after_ns=settled_ns, needed=count, kept=count)
                 world.take_readings(event.readings)
+                self._note_other_motion()
                 self.switch.take(event.probe)
                 self._check_left_behind()
                 self._report_plane()  # between two goals the machine may rest for no longer than this
@@ -232,6 +233,8 @@ class Controller(GoalPhases):
     def _take_driver(self, text: str) -> None:
         self._world.driver = text
         state = text.partition(":")[0]
+        if state not in ("idle", "moving"):
+            self._entered_xy = None  # the motors may be off, or the machine is homed again
         if state in ("disconnected", "connecting"):
             self._plane_ns = 0  # a new guard does not have the panel's plane
         self._world.rivals.driver_is(state)
@@ -239,6 +242,12 @@ class Controller(GoalPhases):
             self._world.unchecked = False
         elif not self._world.unchecked and state == "idle":
             self._world.left_behind = ""
+
+    def _note_other_motion(self) -> None:
+        """Forget on which side a position was entered after a motion that no goal has ordered."""
+        entered_xy = self._entered_xy
+        if entered_xy is not None and self._job is None and not is_at(self._world.here[:2], entered_xy):
+            self._entered_xy = None
 
     def _check_left_behind(self) -> None:
         """Request a stop, which lifts, if the stylus was left extended before the start; repeat it until it works."""

@@ -201,6 +201,7 @@ class GoalPhases(ContactPhases):
 
     def _finish_move(self, job: Job) -> None:
         readings = self._world.here
+        self._entered_xy = job.aim.readings_at(job.tip_goal()[np.newaxis])[0, :2]
         at = np.array([*(job.aim.base_from_reading @ readings[:2]), -readings[2]])
         job.error_m = float(np.linalg.norm(at - job.goal_base()))
         self._finish(job, Outcome.REACHED)

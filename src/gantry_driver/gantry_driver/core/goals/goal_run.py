@@ -56,6 +56,8 @@ class GoalRun:
         self._stamp_ns = 0
         self._phase_ns = 0
         self._end: Array | None = None
+        self._entered_xy: Array | None = None
+        """Readings x, y at the end of the last goal that was a move; None after any other motion across."""
         self._arrived_ns: int | None = None
         self._tip_look = self._rest_look = NO_LOOK
         self._asked_ns = 0
@@ -86,6 +88,7 @@ class GoalRun:
         self._deadline_ns += nanoseconds(gap_s)
 
     def _go(self, phase: Phase, path: Path) -> None:
+        self._entered_xy = None
         self._enter(phase, 1.5 * path.duration_s + self.config.motion_timeout_s)
         # Stamps identify trajectories, so those of two trajectories at the same time must differ.
         self._stamp_ns = max(self._now_ns, self._stamp_ns + 1)
@@ -132,7 +135,8 @@ class GoalRun:
     def _way_to(self, job: Job) -> Path:
         """Return the path to the tip's position before a touch; raises OutOfReach."""
         first = job.aim.readings_at(job.tip_goal()[np.newaxis])[0]
-        return motion_plan.travel(self._world.here, first[:2], first[2], self.config.motion)
+        entered_xy = self._entered_xy if job.touch is None else None
+        return motion_plan.travel(self._world.here, first[:2], first[2], self.config.motion, entered_xy)
 
     def _look(self, phase: Phase, settle_s: float, timeout_s: float, *, needed: int, kept: int) -> None:
         self.phase = phase

@@ -101,11 +101,25 @@ def reaches(points: npt.ArrayLike, config: MotionConfig) -> bool:
     return True
 
 
-def travel(start: Array, aim_xy: Array, extension_m: float, config: MotionConfig) -> Path:
-    """Retract, cross to ``aim_xy`` (2,) through the approach point, and lower to ``extension_m``."""
+def is_at(reading: Array, aim: Array) -> bool:
+    """Return whether a reading is that of an aim, rounded to motor steps."""
+    return bool(np.abs(reading - aim).max() <= EDGE_M)
+
+
+def travel(
+    start: Array, aim_xy: Array, extension_m: float, config: MotionConfig, entered_xy: Array | None = None
+) -> Path:
+    """Retract, cross to ``aim_xy`` (2,) through the approach point, and lower to ``extension_m``.
+
+    ``entered_xy`` is the position that the carriage entered from the approach side and has not left since. If it is the
+    aim, only the stylus moves, as the backlash is taken up already.
+    """
     check_reach([*aim_xy, extension_m], config)
     steps = _Steps(start)
     steps.to([*start[:2], 0.0], config.stylus_speed_m_s)
+    if entered_xy is not None and is_at(start[:2], entered_xy) and np.abs(aim_xy - entered_xy).max() <= STANDSTILL_M:
+        steps.to([*start[:2], extension_m], config.stylus_speed_m_s)
+        return steps.path(config)
     steps.to([*_approach_point(aim_xy, config), 0.0], config.travel_speed_m_s)
     steps.to([*aim_xy, 0.0], config.travel_speed_m_s)
     steps.to([*aim_xy, extension_m], config.stylus_speed_m_s)

@@ -21,12 +21,10 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy
 from rclpy.subscription import Subscription
 from rclpy.topic_endpoint_info import TopicEndpointInfo
-from rosgraph_msgs.msg import Clock as ClockMessage
 
 from icu_common.adapters.processes.process_identity import ParticipantProcesses
 from icu_common.core.admission.sources import Source, TopicSources, rivals_text
-from icu_common.nodes.graph_node import CLOCK_TOPIC
-from icu_common.nodes.qos import SENSOR
+from icu_common.nodes.graph_node import CLOCK_TOPIC, GraphLifecycleNode, GraphNode
 from icu_common.nodes.timers import runs_by_clock_topic
 
 LOOK_AGAIN_S = 0.1
@@ -43,10 +41,10 @@ Judge = Callable[[str, tuple[str, ...]], str]
 @dataclass(slots=True)
 class _Watched:
     subscription: Subscription
-    create: Callable[[], Subscription]
-    latched: bool
     judge: Judge
     sources: TopicSources
+    renew: Callable[[], Subscription] | None = None
+    """Creates the subscription of a latched topic again."""
     names: tuple[str, ...] = ()
     text: str = ""
     undecided: bool = False
@@ -88,17 +86,24 @@ class SourceWatch:
         create = partial(
             self._node.create_subscription, message_type, topic, callback, profile, event_callbacks=events, **kwargs
         )
-        latched = profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
         made = create()
-        self._watched[topic] = _Watched(made, create, latched, judge, TopicSources(self._processes.is_alive))
-        self.look(topic)
+        self._watch(topic, made, judge, create if profile.durability == DurabilityPolicy.TRANSIENT_LOCAL else None)
         return made
+
+    def _watch(
+        self, topic: str, made: Subscription, judge: Judge, renew: Callable[[], Subscription] | None = None
+    ) -> None:
+        self._watched[topic] = _Watched(made, judge, TopicSources(self._processes.is_alive), renew)
+        self.look(topic)
 
     def watch_clock(self) -> None:
         """Watch the sources of the graph's time, if the node follows it: a second source would age all fresh data."""
-        if runs_by_clock_topic(self._node):
-            # The node's own subscription belongs to rclpy, which does not report its matches.
-            self.subscribe(ClockMessage, CLOCK_TOPIC, lambda _: None, SENSOR, raw=True)
+        node = self._node
+        if not runs_by_clock_topic(node):
+            return
+        assert isinstance(node, GraphNode | GraphLifecycleNode) and node.clock_subscription is not None
+        node.add_clock_match_listener(lambda: self.look(CLOCK_TOPIC))
+        self._watch(CLOCK_TOPIC, node.clock_subscription, rivals_text)
 
     def names(self, topic: str) -> tuple[str, ...]:
         """Return the full names of a topic's sources at the last query."""
@@ -119,7 +124,7 @@ class SourceWatch:
         text = watched.text if found.unnamed else watched.judge(watched.subscription.topic_name, found.names)
         if text:
             watched.renewed_s = None
-        elif watched.text and watched.latched and not self._is_renewed(watched):
+        elif watched.text and watched.renew is not None and not self._is_renewed(watched):
             text = watched.text
         if text != watched.text:
             watched.text = text
@@ -136,10 +141,11 @@ class SourceWatch:
         open_ones = [topic for topic, watched in self._watched.items() if watched.undecided or watched.text]
         for topic in open_ones:
             watched = self._watched[topic]
-            if self.look(topic) and watched.latched and watched.renewed_s is None and len(watched.names) < 2:
+            text = self.look(topic)
+            if text and watched.renew is not None and watched.renewed_s is None and len(watched.names) < 2:
                 # Not in the callback of the subscription's own event.
                 self._node.destroy_subscription(watched.subscription)
-                watched.subscription, watched.renewed_s = watched.create(), time.monotonic()
+                watched.subscription, watched.renewed_s = watched.renew(), time.monotonic()
         if not open_ones:
             self._timer.cancel()
 

@@ -30,12 +30,19 @@ class StepTime:
         The graph's counts.
     step_ns
         Length of a step while the machine moves or takes orders.
-    publish
-        Publishes a time in ns on ``/clock``.
+    publish, publish_image
+        Publish a time in ns: of each step on ``/clock``, of each image on ``/clock_of_images``.
     """
 
-    def __init__(self, ledger: StepLedger, step_ns: int, publish: Callable[[int], None]) -> None:
-        self._ledger, self._step_ns, self._publish = ledger, step_ns, publish
+    def __init__(
+        self,
+        ledger: StepLedger,
+        step_ns: int,
+        publish: Callable[[int], None],
+        publish_image: Callable[[int], None] = lambda _: None,
+    ) -> None:
+        self._ledger, self._step_ns = ledger, step_ns
+        self._publish, self._publish_image = publish, publish_image
         self._gate = StepGate(ledger)
         if not ledger.time_ns:
             ledger.time_ns = time.time_ns()
@@ -54,14 +61,16 @@ class StepTime:
         """Return the wall seconds until the next step may begin."""
         return max(self._begin_s - time.monotonic(), 0.0)
 
-    def advance(self, until_ns: int, *, long: bool = False) -> None:
-        """Begin the next step, which ends at ``until_ns`` or earlier; only with ``long`` may it exceed ``step_ns``."""
+    def advance(self, image_ns: int, *, long: bool = False) -> None:
+        """Begin the next step, which ends at the next image or earlier; only a ``long`` one may exceed ``step_ns``."""
         now_s = time.monotonic()
-        step_ns = until_ns - self.now_ns if long else min(self._step_ns, until_ns - self.now_ns)
+        step_ns = image_ns - self.now_ns if long else min(self._step_ns, image_ns - self.now_ns)
         self._begin_s = max(self._begin_s, now_s - CATCH_UP_S) + step_ns / 1e9
         self.now_ns += step_ns
         self._ledger.time_ns = self.now_ns
         self._publish(self.now_ns)
+        if self.now_ns == image_ns:
+            self._publish_image(self.now_ns)
         self._history.append((now_s, self.now_ns))
         while len(self._history) > 2 and now_s - self._history[1][0] > FACTOR_WINDOW_S:
             self._history.popleft()
