@@ -10,11 +10,11 @@ import signal
 import socket
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from urllib.parse import urlsplit
 
-from matrix.cells import CLOCK, GRAPH, GUARD, Cell
+from matrix.cells import CLOCK, GUARD, Cell
 from matrix.stage import Stage
 
 from gantry_driver.adapters.guard.places import guard_path
@@ -32,44 +32,55 @@ class NoInput(Exception):
     """A program that has no topic to flood."""
 
 
+Begin = Callable[[], float]
+"""Causes a fault and returns the seconds that it lasts."""
+
+
 @contextlib.contextmanager
-def caused(stage: Stage, cell: Cell, rng: random.Random) -> Iterator[float]:
-    """Cause a cell's fault; yield the seconds that it lasts, and end it."""
-    pid = stage.pids()[cell.program] if cell.program != GRAPH else 0
+def prepared(stage: Stage, cell: Cell, rng: random.Random) -> Iterator[Begin]:
+    """Prepare a cell's fault before the machine is in its phase; yield what causes it, and end it."""
     if cell.fault == "kill":
-        os.kill(pid, signal.SIGKILL)
-        yield 0.0
+        yield lambda: _signalled(_pid(stage, cell), signal.SIGKILL, 0.0)
     elif cell.fault in STOPPED_S:
-        os.kill(pid, signal.SIGSTOP)
+        pid = _pid(stage, cell)
         try:
-            yield STOPPED_S[cell.fault]
+            yield lambda: _signalled(pid, signal.SIGSTOP, STOPPED_S[cell.fault])
         finally:
-            _continue(pid)
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(pid, signal.SIGCONT)
     elif cell.fault == "disk full":
-        resource.prlimit(pid, resource.RLIMIT_FSIZE, (0, resource.RLIM_INFINITY))
+        pid = _pid(stage, cell)
         try:
-            yield FLOOD_S
+            yield lambda: _limited(pid)
         finally:
             with contextlib.suppress(ProcessLookupError):
                 resource.prlimit(pid, resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
     elif cell.program == GUARD:
-        _to_guard(stage, cell.fault, rng)
-        yield 0.0
+        yield lambda: _to_guard(stage, cell.fault, rng)
     elif cell.program == "ui_bridge" and rng.random() < 0.5:
-        _to_page(stage, cell.fault, rng)
-        yield 0.0
+        yield lambda: _to_page(stage, cell.fault, rng)
     else:
-        with _stranger(stage, cell, rng):
-            yield FLOOD_S
+        with _stranger(stage, cell, rng) as begin:
+            yield begin
 
 
-def _continue(pid: int) -> None:
-    with contextlib.suppress(ProcessLookupError):
-        os.kill(pid, signal.SIGCONT)
+def _pid(stage: Stage, cell: Cell) -> int:
+    return stage.pids()[cell.program]
+
+
+def _signalled(pid: int, number: int, lasts_s: float) -> float:
+    os.kill(pid, number)
+    return lasts_s
+
+
+def _limited(pid: int) -> float:
+    resource.prlimit(pid, resource.RLIMIT_FSIZE, (0, resource.RLIM_INFINITY))
+    return FLOOD_S
 
 
 @contextlib.contextmanager
-def _stranger(stage: Stage, cell: Cell, rng: random.Random) -> Iterator[None]:
+def _stranger(stage: Stage, cell: Cell, rng: random.Random) -> Iterator[Begin]:
+    """Start a foreign program; it publishes only when told to, so its start is no part of the measured time."""
     kind, topic, type_name = cell.fault, "/clock", "rosgraph_msgs/msg/Clock"
     if kind == CLOCK:
         kind = "clock"
@@ -77,10 +88,19 @@ def _stranger(stage: Stage, cell: Cell, rng: random.Random) -> Iterator[None]:
         topic, type_name = _input_of(stage, cell.program, rng)
     command = [sys.executable, str(Path(__file__).with_name("stranger.py")), kind, topic, type_name]
     command += [f"{FLOOD_S:g}", str(rng.randrange(2**31))]
-    with subprocess.Popen(command, env=stage.graph.environment, stdout=subprocess.PIPE) as process:
+    pipe = subprocess.PIPE
+    with subprocess.Popen(command, env=stage.graph.environment, stdin=pipe, stdout=pipe) as process:
+        assert process.stdout is not None and process.stdin is not None
+        told = process.stdin
+
+        def begin() -> float:
+            told.write(b"begin\n")
+            told.flush()
+            return FLOOD_S
+
         try:
-            assert process.stdout is not None and process.stdout.readline() == b"begun\n", command
-            yield
+            assert process.stdout.readline() == b"ready\n", command
+            yield begin
         finally:
             process.kill()
 
@@ -93,7 +113,7 @@ def _input_of(stage: Stage, program: str, rng: random.Random) -> tuple[str, str]
     return rng.choice(inputs)
 
 
-def _to_guard(stage: Stage, fault: str, rng: random.Random) -> None:
+def _to_guard(stage: Stage, fault: str, rng: random.Random) -> float:
     """Send frames or noise to the guard's socket; a second connection is refused, but its bytes arrive."""
     data = FLOOD_COUNT * frame({"do": "beat"}) if fault == "flood" else rng.randbytes(65536)
     for _ in range(50 if fault == "flood" else 5):
@@ -101,9 +121,10 @@ def _to_guard(stage: Stage, fault: str, rng: random.Random) -> None:
             connection.settimeout(0.1)
             connection.connect(bytes(guard_path(str(stage.graph.run_dir / "grbl"))))
             connection.sendall(data)
+    return 0.0
 
 
-def _to_page(stage: Stage, fault: str, rng: random.Random) -> None:
+def _to_page(stage: Stage, fault: str, rng: random.Random) -> float:
     """Send requests with wrong tokens, or noise, to the page's server."""
     parts = urlsplit(stage.graph.page_address())
     for _ in range(200 if fault == "flood" else 20):
@@ -112,3 +133,4 @@ def _to_page(stage: Stage, fault: str, rng: random.Random) -> None:
             made.sendall(request if fault == "flood" else rng.randbytes(4096))
             made.settimeout(0.05)
             made.recv(4096)
+    return 0.0

@@ -16,7 +16,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import pytest
-from matrix.causes import WATCH_S, NoInput, caused
+from matrix.causes import WATCH_S, NoInput, prepared
 from matrix.cells import TOUCHING, Cell, Record, all_cells, append_record, drawn, read_records, table
 from matrix.stage import Stage
 from matrix.witness import SETTLE_S, UP_MM, judge
@@ -68,13 +68,14 @@ class Campaign:
     def _watched(self, stage: Stage, cell: Cell, rng: random.Random, base: dict[str, object]) -> Record:
         operator, witness, page = stage.operator, stage.witness, stage.page
         assert witness is not None and page is not None
-        goal = stage.begin(cell.phase)
-        witness.samples[:] = witness.samples[-20:]
-        mark = stage.graph.board()
-        with contextlib.closing(mark):
-            since, board = mark.mark(), float(mark.ask("counters")["t"])
-        begun_s = time.monotonic()
-        with caused(stage, cell, rng) as lasts_s:
+        with prepared(stage, cell, rng) as begin:
+            goal = stage.begin(cell.phase)
+            witness.samples[:] = witness.samples[-20:]
+            mark = stage.graph.board()
+            with contextlib.closing(mark):
+                since, board = mark.mark(), float(mark.ask("counters")["t"])
+            begun_s = time.monotonic()
+            lasts_s = begin()
             stage.holds(lambda: time.monotonic() > begun_s + lasts_s, lasts_s + 1.0)
 
         def answer() -> str:

@@ -1,6 +1,7 @@
 """A foreign program: ``python stranger.py flood|garbage TOPIC TYPE SECONDS SEED``; ``clock`` for TOPIC jumps the clock.
 
-``flood`` publishes empty messages as fast as it can, ``garbage`` random bytes; both print ``begun`` with the first one.
+``flood`` publishes empty messages as fast as it can, ``garbage`` random bytes. The program prints ``ready`` and begins
+when it receives a line.
 """
 
 from __future__ import annotations
@@ -28,11 +29,12 @@ def main() -> int:
     rclpy.init(args=[])
     node = rclpy.create_node("stranger")
     message_type: Any = _message_type(name)
+    print("ready", flush=True)
+    sys.stdin.readline()
     publisher = node.create_publisher(message_type, topic, ANY)
     end = time.monotonic() + MATCH_S
     while not publisher.get_subscription_count() and time.monotonic() < end:
         rclpy.spin_once(node, timeout_sec=0.02)
-    print("begun", flush=True)
     data = serialize_message(message_type())
     end = time.monotonic() + float(seconds)
     jump_s = rng.choice(JUMPS_S)
