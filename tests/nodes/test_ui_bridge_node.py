@@ -531,6 +531,18 @@ def test_what_has_ended_is_in_no_state_any_more(ros: Any, bridge: Any) -> None:
     ros.spin_until(back, WITHIN_S, browser.state)
 
 
+def test_state_of_a_foreign_program_is_replaced_once_it_has_left(ros: Any, bridge: Any) -> None:
+    graph, browser, _, _ = bridge
+    shown(ros, graph, browser)
+    foreign = ros.plain("foreign")
+    outlet = foreign.create_publisher(String, "gantry/state", qos.LATCHED)
+    outlet.publish(String(data="waiting: foreign"))
+    state = lambda: browser.state()["controller"]  # noqa: E731
+    ros.spin_until(lambda: state() == {"state": "waiting", "reason": "foreign"}, WITHIN_S, state)
+    foreign.destroy_publisher(outlet)
+    ros.spin_until(lambda: state()["state"] == "ready", WITHIN_S, state)
+
+
 def test_a_control_is_pressed_and_the_result_comes_back(ros: Any, bridge: Any) -> None:
     graph, browser, _, folder = bridge
     assert browser.ask(type="lease", step="take")["ok"]

@@ -13,9 +13,9 @@ from icu_common.nodes.graph_node import GraphNode
 
 
 def subscribe(
-    node: GraphNode, message_type: Any, topic: str, profile: QoSProfile, take: Callable[[Any], None]
+    node: GraphNode, message_type: Any, topic: str, profile: QoSProfile, take: Callable[[Any], None], **kwargs: Any
 ) -> Subscription:
-    """Subscribe ``take``, which raises ValueError for an invalid message."""
+    """Subscribe ``take``, which raises ValueError for an invalid message; the rest is as for the node."""
 
     def callback(message: Any) -> None:
         try:
@@ -23,4 +23,4 @@ def subscribe(
         except ValueError as error:
             node.get_logger().error(f"{topic}: ignored: {plain(str(error))}", throttle_duration_sec=5.0)
 
-    return node.create_subscription(message_type, topic, callback, profile)
+    return node.create_subscription(message_type, topic, callback, profile, **kwargs)

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import TransformStamped
+from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.subscription import Subscription
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float32, Float64MultiArray, String
 from trajectory_msgs.msg import JointTrajectory
@@ -56,8 +58,9 @@ class MachineInlets:
         self._camera_from_base: Transform | None = None
         path = "gantry/recorded_trajectory" if replay else "gantry/trajectory"  # name in bag_play
         subscribe(node, JointTrajectory, path, qos.COMMAND, self._on_trajectory)
-        for part, topic in _STATES.items():
-            subscribe(node, String, topic, qos.LATCHED, self._state_taker(part))
+        self._state_inlets = {part: self._follow(part) for part in _STATES}
+        self._left: set[str] = set()
+        """Parts whose state lost one of its publishers."""
         subscribe(node, TransformStamped, "calibration/camera_from_base", qos.LATCHED, self._on_calibration)
         subscribe(node, Float64MultiArray, "calibration/axes", qos.LATCHED, self._on_axes)
         subscribe(node, JointState, "joint_states", qos.SENSOR, self._on_joints)
@@ -67,10 +70,23 @@ class MachineInlets:
         subscribe(node, DiagnosticArray, "gantry/sequence_result", qos.RESULTS, self._on_sequence_result)
         every(node, 1.0, self._check_states, wall=True)
 
-    def _state_taker(self, part: str) -> Callable[[String], None]:
-        return lambda message: self._mail.newest(part, self._desk.set_state, part, plain(message.data))
+    def _follow(self, part: str) -> Subscription:
+        def take(message: String) -> None:
+            self._mail.newest(part, self._desk.set_state, part, plain(message.data))
+
+        def matched(info: Any) -> None:
+            if info.current_count_change < 0 < info.current_count:
+                self._left.add(part)
+
+        events = SubscriptionEventCallbacks(matched=matched)
+        return subscribe(self._node, String, _STATES[part], qos.LATCHED, take, event_callbacks=events)
 
     def _check_states(self) -> None:
+        # The last state may be that of the program that left: receive the remaining one's latched state again.
+        for part in self._left:
+            self._node.destroy_subscription(self._state_inlets[part])
+            self._state_inlets[part] = self._follow(part)
+        self._left.clear()
         # The latched state of a node that has ended no longer applies.
         for part, topic in _STATES.items():
             if self._node.count_publishers(self._node.resolve_topic_name(topic)) == 0:
