@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from line_socket import LineSocket
+from nodes.small_bench import LAYOUT_FILE, SMALL
 from rclpy.parameter import Parameter
 
 from icu_common.adapters.frame_link import FrameClient
@@ -28,14 +29,6 @@ from scope_bench.core.configuration import BenchConfig
 from scope_bench.core.optics import stereo_rig
 from scope_bench.nodes.bench_node import BenchNode
 
-LAYOUT_FILE = Path(__file__).parents[2] / "config/scopes/dso_bench_4.yaml"
-SMALL = {
-    "camera.width_px": 640,
-    "camera.height_px": 360,
-    "camera.focal_px": 850.0,
-    "camera.centre_px": (321.2, 177.4, 316.3, 181.9),
-    "light.noise": 0.0,
-}
 IDEAL = {
     "mechanics.backlash_mm": (0.0, 0.0),
     "mechanics.backlash_z_mm": 0.0,

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from nodes.driver_operator import IN_PROCESS, NO_PANEL, PATIENCE, Operator
 from nodes.gantry_bench import GantryBench
 from nodes.grbl_board import GrblBoard
-from nodes.test_gantry_driver_node import IN_PROCESS, NO_PANEL, PATIENCE, Operator
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 

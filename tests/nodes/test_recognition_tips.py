@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PointStamped
-from nodes.test_recognition_node import PERIOD, START, Rig
+from nodes.recognition_rig import PERIOD, START, Rig
 from std_msgs.msg import Header
-from unit.harris_perception.recognition.test_panel_state import AWAY, LAYOUT, Scene
+from unit.harris_perception.bench_scene import AWAY, LAYOUT, Scene
 
 from icu_common.core.geometry.frames import CAMERA_LEFT
 from icu_common.core.panel.panel_state import ControlSeen

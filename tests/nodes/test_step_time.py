@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from nodes.test_bench_node import LAYOUT_FILE, SMALL
+from nodes.small_bench import LAYOUT_FILE, SMALL
 
 from icu_common.adapters.frame_link import FRAMES, FrameClient
 from icu_common.adapters.steps.step_ledger import BYTES_READ, BYTES_WRITTEN, StepLedger

@@ -10,61 +10,23 @@ import signal
 import subprocess
 import time
 import unicodedata
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
 
-import axe_playwright_python
 import cv2
 import numpy as np
 import pytest
 from graph_texts import german_phrases
-from system.conftest import PATIENT, executable
+from system.conftest import executable
 from system.operator_browser import Operator
-from system.test_operator_page import Instrument
+from system.page_instrument import Instrument
+from system.page_rig import PERSON, axe, instrument, operator
 
-from scope_ui_bridge.adapters.secret_files import write_secret
-from scope_ui_bridge.core.access import new_user
-
-AXE = Path(axe_playwright_python.__file__).parent / "axe.min.js"
-WCAG = ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "wcag22aa", "best-practice"]
+__all__ = ["instrument", "operator"]  # fixtures
 STARTS_S = 60.0  # on a loaded machine a program is long in starting, and in writing its last
-PERSON = ("Jürgen Groß", "operator", "correct horse")
 pytestmark = [pytest.mark.browser, pytest.mark.system, pytest.mark.timeout(300)]
-
-
-@pytest.fixture(scope="module")
-def instrument(browser: Any, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Instrument]:
-    folder = tmp_path_factory.mktemp("instrument")
-    write_secret(folder / "passwords", new_user(*PERSON, b"a" * 16).line())
-    made = Instrument(folder, PATIENT | {"token_role": "engineer", "passwords_file": folder / "passwords"})
-    made.tell("heartbeat_timeout 30")
-    try:
-        yield made
-    finally:
-        made.close()
-
-
-@pytest.fixture
-def operator(browser: Any, instrument: Instrument) -> Iterator[Operator]:
-    person = Operator(browser, instrument.new_address())
-    try:
-        person.takes_control()
-        yield person
-        # A page that goes while something moves stops it. The answer that something has ended comes before its state.
-        person.page.wait_for_selector("#stage:not(.moving)", state="attached")
-        assert person.complaints == []
-    finally:
-        person.context.close()  # its page goes away, and with it the control
-
-
-def axe(operator: Operator) -> list[str]:
-    """Return what axe-core finds wrong: rule, and where."""
-    # Through the debugger, which the page's own security policy does not hinder.
-    operator.page.evaluate(AXE.read_text() + "; null")
-    found = operator.page.evaluate("(t) => axe.run(document, {runOnly: t, resultTypes: ['violations']})", WCAG)
-    return [f"{v['id']}: {[node['target'] for node in v['nodes']][:3]}" for v in found["violations"]]
 
 
 @pytest.mark.parametrize(("scheme", "size"), [("light", (1280, 800)), ("dark", (820, 1180))])

@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 from system.conftest import executable
 from system.operator_browser import Operator
+from system.page_instrument import Instrument
+from system.page_rig import axe, instrument, operator
 from system.synthetic_scope import LAYOUT, camera, panel_pose
-from system.test_operator_desk import axe, instrument, operator
-from system.test_operator_page import Instrument
 
 from icu_common.core.panel.panel_layout import load_layout
 

@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 from system.operator_browser import Operator
-from system.test_operator_desk import instrument, operator
-from system.test_operator_page import Instrument
+from system.page_instrument import Instrument
+from system.page_rig import instrument, operator
 
 from scope_ui_bridge.adapters.web.front_door import PAGE
 

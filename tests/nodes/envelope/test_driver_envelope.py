@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 from geometry_msgs.msg import PoseWithCovarianceStamped
+from nodes.driver_operator import HOMED, IN_PROCESS, PATIENCE, Operator
 from nodes.grbl_board import GrblBoard
-from nodes.test_gantry_driver_node import HOMED, IN_PROCESS, PATIENCE, Operator
 
 from gantry_driver.core.envelope.plane import PanelPlane
 from gantry_driver.nodes.panel_plane import plane_message, plane_of_message

@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from unit.scope_bench.test_processes import PYTHON, Clock, Watch, alive, clock, interruptible
+from unit.scope_bench.process_rig import PYTHON, Clock, Watch, alive, clock, interruptible
 
 __all__ = ["clock", "interruptible"]  # fixtures
 
