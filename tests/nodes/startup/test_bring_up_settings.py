@@ -11,7 +11,7 @@ from ros_rig import Ros
 
 from scope_bench.cli import bring_up, graph_run
 
-CONFIG = Path(__file__).resolve().parents[2] / "config"
+CONFIG = Path(__file__).resolve().parents[3] / "config"
 
 
 def started(

@@ -355,7 +355,7 @@ def test_corners_over_scales_have_the_scale_of_what_they_are_of(ros: Any) -> Non
 
 
 def test_the_benchmarks_peer_is_this_node_with_the_corners_of_opencv(ros: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.syspath_prepend(str(Path(__file__).parents[2] / "benchmarks"))
+    monkeypatch.syspath_prepend(str(Path(__file__).parents[3] / "benchmarks"))
     threads = cv2.getNumThreads()
     monkeypatch.setattr(cv2, "setNumThreads", lambda count: None)
     rig = Rig(ros, made_by=importlib.import_module("perception.bench_graph_latency").PeerNode)

@@ -19,7 +19,7 @@ from icu_common.nodes import qos
 from icu_common.nodes.messages.cameras import image_message
 from icu_common.nodes.messages.heads import header
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[3]
 
 
 def start(ros: Ros, folder: Path, table: list[list[object]]) -> subprocess.Popen[str]:

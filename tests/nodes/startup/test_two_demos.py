@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 from deadlines import wait_until
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[3]
 DEADLINE_S = 90.0
 PARTS = ("camera", "corners_left", "corners_right", "stereo", "dense_stereo", "stylus_tracker", "recognition", "bench")
 """Not needed here: the machine, its controller and the page are."""

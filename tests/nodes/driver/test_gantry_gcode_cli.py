@@ -424,7 +424,7 @@ def test_a_parameter_file_that_cannot_be_read_ends_it_with_one_line(
     assert said.startswith(f"error: {params}") and said.count("\n") == 1
 
 
-CONFIG = Path(__file__).parents[2] / "config" / "params"
+CONFIG = Path(__file__).parents[3] / "config" / "params"
 SMALL = "--set=130=200", "--set=131=150", "--set=132=40"
 """Settings of a board on a stage that is smaller than the bench's."""
 

@@ -21,7 +21,7 @@ from deadlines import wait_until
 from line_socket import BoardSocket
 from ros_rig import domain_of_worker
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[3]
 ROBOT, DESK = "198.51.100.1", "198.51.100.2"  # addresses for documentation (RFC 5737)
 LEASE_S = 10.0
 """After so long without a sign DDS forgets a participant (fastdds_profile.xml)."""

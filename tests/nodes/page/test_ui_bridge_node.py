@@ -54,7 +54,7 @@ from scope_ui_bridge.core.control import stop_cause
 from scope_ui_bridge.nodes import foxglove_sidecar
 from scope_ui_bridge.nodes.bridge_node import BridgeNode
 
-LAYOUT = Path(__file__).resolve().parents[2] / "config" / "scopes" / "dso_bench_4.yaml"
+LAYOUT = Path(__file__).resolve().parents[3] / "config" / "scopes" / "dso_bench_4.yaml"
 FACE = load_layout(LAYOUT)  # once: read in each round it would leave a busy machine no time for what is published
 WITHIN_S = 15.0
 LAYERS = ("left/corners", "left/edge_lines")
