@@ -12,7 +12,7 @@ from icu_common.core.panel.panel_layout import load_layout, parse_layout
 from icu_common.core.panel.stroke_font import text_strokes
 from scope_bench.core.panel_texture import Canvas, bgr, draw_face
 
-ROOT = Path(__file__).parents[3]
+ROOT = Path(__file__).parents[4]
 
 
 def darkness(canvas: Canvas) -> np.ndarray:

@@ -16,7 +16,7 @@ from deadlines import wait_until
 from scope_bench.adapters.configuration_folder import configuration_folder
 from scope_bench.cli import bring_up, composed
 
-CONFIG = Path(__file__).parents[3] / "config"
+CONFIG = Path(__file__).parents[4] / "config"
 DEADLINE_S = 60.0
 
 

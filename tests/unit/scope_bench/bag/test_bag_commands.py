@@ -9,7 +9,7 @@ import pytest
 
 from scope_bench.cli import bag_play, bag_record
 
-BAG = Path(__file__).parents[2] / "golden" / "bag"
+BAG = Path(__file__).parents[3] / "golden" / "bag"
 
 
 @pytest.mark.parametrize(

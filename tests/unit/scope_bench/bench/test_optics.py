@@ -18,7 +18,7 @@ from scope_bench.core.configuration import BenchConfig, CameraConfig, PanelConfi
 from scope_bench.core.optics import stereo_rig, turn
 from scope_bench.core.renderer import base_from_panel
 
-ROOT = Path(__file__).parents[3]
+ROOT = Path(__file__).parents[4]
 RIG = stereo_rig(BenchConfig().camera)
 POINTS = np.random.default_rng(5).uniform((0.0, 0.0, -0.05), (0.359, 0.219, 0.0), (300, 3))
 

@@ -17,7 +17,7 @@ import pytest
 
 from icu_common.adapters.processes.program_end import INTERRUPTED, UNREAD, UNWRITTEN, ends_quietly
 
-ROOT = Path(__file__).resolve().parents[3]
+ROOT = Path(__file__).resolve().parents[4]
 BAG = str(ROOT / "tests" / "golden" / "bag")
 
 

@@ -20,7 +20,7 @@ from scope_bench.core import instrument
 from scope_bench.core.configuration import BenchConfig
 from scope_bench.core.renderer import Moment, Renderer, base_from_panel
 
-FOLDER = Path(__file__).parents[3] / "config" / "scopes"
+FOLDER = Path(__file__).parents[4] / "config" / "scopes"
 PINK = ("#e0409a",)
 """Of the ball's own colour: shining, it hides the ball, which is measured beside it then."""
 LAYOUTS = sorted(path.stem for path in FOLDER.glob("*.yaml"))

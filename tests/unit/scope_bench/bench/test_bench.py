@@ -15,7 +15,7 @@ from scope_bench.core.configuration import BenchConfig, PanelConfig
 from scope_bench.core.renderer import Renderer
 from scope_bench.core.touch import TouchEvent
 
-ROOT = Path(__file__).parents[3]
+ROOT = Path(__file__).parents[4]
 LAYOUT = load_layout(ROOT / "config/scopes/dso_bench_4.yaml")
 
 
