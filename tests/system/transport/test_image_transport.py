@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from ros_rig import domain_of_worker
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[3]
 COUNT = 300
 NUMBERS = 40
 WITHIN_S = 60.0

@@ -20,7 +20,7 @@ from icu_common.nodes import qos
 from icu_common.nodes.messages.cameras import camera_model, image_array
 from icu_common.nodes.messages.places import transform_of_pose
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[3]
 LAYOUT = load_layout(ROOT / "config" / "scopes" / "dso_bench_4.yaml")
 
 pytestmark = [pytest.mark.system, pytest.mark.alone, pytest.mark.timeout(600)]
