@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any
 
 import yaml
+from nodes.driver_operator import HOMED, NO_PANEL, PATIENCE, Operator
 from nodes.grbl_board import GrblBoard
-from nodes.test_gantry_driver_node import HOMED, NO_PANEL, PATIENCE, Operator
 
 from gantry_driver.adapters.guard.places import guard_path
 
