@@ -140,7 +140,7 @@ class Scene:
         found = {}
         for child in Path(f"/proc/{parent}/task/{parent}/children").read_text().split():
             try:
-                line = Path(f"/proc/{child}/cmdline").read_text().replace("\0", " ")
+                line = Path(f"/proc/{child}/cmdline").read_text(errors="replace").replace("\0", " ")
             except OSError:
                 continue  # it has ended meanwhile
             if "scope_bench.cli.fork_server" in line or "gantry_driver.cli.gantry_guard" in line:
