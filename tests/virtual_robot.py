@@ -46,7 +46,8 @@ from harris_perception.core.hand_eye_procedure.still_watch import StillConfig
 from harris_perception.core.pose.pose_agreement import PoseAgreement
 from harris_perception.core.recognition.panel_state import PanelReader, StateConfig
 from harris_perception.core.recognition.recognition import PanelRecogniser, RecognitionConfig
-from harris_perception.core.stylus.stylus import StylusConfig, StylusTracker
+from harris_perception.core.stylus.stylus import StylusTracker
+from harris_perception.core.stylus.stylus_config import StylusConfig
 from harris_perception.core.stylus.tip_record import TipRecord
 from harris_perception.pairing.free_pairs import FreePairs, Pair
 from harris_perception.pairing.free_tips import FreeTips

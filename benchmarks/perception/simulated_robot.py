@@ -24,7 +24,8 @@ from harris_perception.core.hand_eye_procedure.calibration_run import Action, Ca
 from harris_perception.core.hand_eye_procedure.calibration_solution import Failed, Finished
 from harris_perception.core.hand_eye_procedure.still_watch import StillConfig
 from harris_perception.core.recognition.recognition import PanelRecogniser, Sighting
-from harris_perception.core.stylus.stylus import StylusConfig, StylusTracker
+from harris_perception.core.stylus.stylus import StylusTracker
+from harris_perception.core.stylus.stylus_config import StylusConfig
 from icu_common.core.geometry.camera_model import CameraModel, StereoModel
 from icu_common.core.geometry.geometry import Array, Transform
 from icu_common.core.goals.results import GoalResult, Outcome
