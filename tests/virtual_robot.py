@@ -38,14 +38,16 @@ from harris_perception.core.alignment.layout_watch import LayoutWatch
 from harris_perception.core.alignment.pair_config import PairConfig
 from harris_perception.core.alignment.pair_watch import PairWatch
 from harris_perception.core.corners.harris import HarrisConfig, HarrisDetector
-from harris_perception.core.hand_eye.hand_eye import HandEyeConfig
+from harris_perception.core.hand_eye.hand_eye_config import HandEyeConfig
 from harris_perception.core.hand_eye_procedure.calibration_plan import RunConfig
-from harris_perception.core.hand_eye_procedure.calibration_run import CalibrationRun, Failed, Finished, SendGoal
+from harris_perception.core.hand_eye_procedure.calibration_run import CalibrationRun, SendGoal
+from harris_perception.core.hand_eye_procedure.calibration_solution import Failed, Finished
 from harris_perception.core.hand_eye_procedure.still_watch import StillConfig
 from harris_perception.core.pose.pose_agreement import PoseAgreement
 from harris_perception.core.recognition.panel_state import PanelReader, StateConfig
 from harris_perception.core.recognition.recognition import PanelRecogniser, RecognitionConfig
-from harris_perception.core.stylus.stylus import StylusConfig, StylusTracker
+from harris_perception.core.stylus.stylus import StylusTracker
+from harris_perception.core.stylus.stylus_config import StylusConfig
 from harris_perception.core.stylus.tip_record import TipRecord
 from harris_perception.pairing.free_pairs import FreePairs, Pair
 from harris_perception.pairing.free_tips import FreeTips

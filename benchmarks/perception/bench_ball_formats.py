@@ -17,7 +17,8 @@ from typing import Any
 
 import numpy as np
 
-from harris_perception.core.stylus.stylus import StylusConfig, StylusTracker
+from harris_perception.core.stylus.stylus import StylusTracker
+from harris_perception.core.stylus.stylus_config import StylusConfig
 from icu_common.core.configuration.config import from_mapping
 from icu_common.core.geometry.camera_model import CameraModel, StereoModel
 from icu_common.core.panel.panel_layout import load_layout

@@ -18,7 +18,8 @@ from pathlib import Path
 import numpy as np
 
 from harris_perception.core.hand_eye.carriage_camera import shifted
-from harris_perception.core.hand_eye.hand_eye import HandEye, HandEyeConfig
+from harris_perception.core.hand_eye.hand_eye import HandEye
+from harris_perception.core.hand_eye.hand_eye_config import HandEyeConfig
 from harris_perception.core.hand_eye_procedure.calibration_plan import RunConfig
 from harris_perception.core.hand_eye_procedure.still_watch import StillConfig
 from icu_common.adapters.memory import keep_large_blocks

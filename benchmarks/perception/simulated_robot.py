@@ -18,12 +18,14 @@ import numpy.typing as npt
 from gantry_driver.core.motion import motion_plan
 from gantry_driver.core.motion.motion_plan import MotionConfig
 from harris_perception.core.corners.harris import HarrisConfig, HarrisDetector
-from harris_perception.core.hand_eye.hand_eye import HandEyeConfig
+from harris_perception.core.hand_eye.hand_eye_config import HandEyeConfig
 from harris_perception.core.hand_eye_procedure.calibration_plan import RunConfig
-from harris_perception.core.hand_eye_procedure.calibration_run import Action, CalibrationRun, Failed, Finished, SendGoal
+from harris_perception.core.hand_eye_procedure.calibration_run import Action, CalibrationRun, SendGoal
+from harris_perception.core.hand_eye_procedure.calibration_solution import Failed, Finished
 from harris_perception.core.hand_eye_procedure.still_watch import StillConfig
 from harris_perception.core.recognition.recognition import PanelRecogniser, Sighting
-from harris_perception.core.stylus.stylus import StylusConfig, StylusTracker
+from harris_perception.core.stylus.stylus import StylusTracker
+from harris_perception.core.stylus.stylus_config import StylusConfig
 from icu_common.core.geometry.camera_model import CameraModel, StereoModel
 from icu_common.core.geometry.geometry import Array, Transform
 from icu_common.core.goals.results import GoalResult, Outcome

@@ -28,9 +28,12 @@ from virtual_robot import VirtualRobot
 from gantry_driver.core.job import controller_messages as msg
 from gantry_driver.core.job.controller_config import ControllerConfig
 from gantry_driver.core.job.goal_job import LOOKING
-from harris_perception.core.hand_eye.hand_eye import HandEyeConfig, Sample, calibrate
+from harris_perception.core.hand_eye.hand_eye import calibrate
+from harris_perception.core.hand_eye.hand_eye_config import HandEyeConfig
+from harris_perception.core.hand_eye.tip_samples import Sample
 from harris_perception.core.hand_eye_procedure.still_watch import StillConfig, StillWatch
-from harris_perception.core.stylus.stylus import StylusConfig, StylusTracker
+from harris_perception.core.stylus.stylus import StylusTracker
+from harris_perception.core.stylus.stylus_config import StylusConfig
 from harris_perception.pairing.free_pairs import Pair
 from icu_common.core.configuration.config import from_mapping
 from icu_common.core.geometry.frames import BASE, CAMERA_LEFT, CAMERA_RIGHT, JOINTS

@@ -19,7 +19,7 @@ from std_srvs.srv import Trigger
 from unit.harris_perception.rectified_pair import camera, measured_face, stored_calibration
 
 from harris_perception.core.hand_eye.calibration_file import StoredCalibration, load, save
-from harris_perception.core.hand_eye.hand_eye import Sample
+from harris_perception.core.hand_eye.tip_samples import Sample
 from harris_perception.core.pose.planar_pose import FACE_POINT_COLUMNS
 from harris_perception.nodes.hand_eye_node import HandEyeNode
 from icu_common.core.geometry.frames import BASE, CAMERA_LEFT, JOINTS

@@ -18,17 +18,12 @@ from harris_perception.adapters.camera_sources import SourceError, picture_files
 from harris_perception.adapters.picture_files import read_sensor_gray, write_picture
 from harris_perception.core.cameras.board import PAPERS_MM, Board, board_pdf, board_svg
 from harris_perception.core.cameras.board_detection import BoardDetector, BoardView, size_shown
-from harris_perception.core.cameras.camera_calibration import (
-    INTRINSICS,
-    CalibrationConfig,
-    CameraCalibration,
-    StereoCalibration,
-    ViewError,
-    calibrate_camera,
-    calibrate_stereo,
-    residual_picture,
-)
+from harris_perception.core.cameras.calibration_config import INTRINSICS, CalibrationConfig
+from harris_perception.core.cameras.camera_calibration import CameraCalibration, calibrate_camera
+from harris_perception.core.cameras.pair_calibration import PairCalibration, calibrate_stereo
+from harris_perception.core.cameras.residual_picture import residual_picture
 from harris_perception.core.cameras.view_coverage import CalibrationError, coverage
+from harris_perception.core.cameras.view_errors import ViewError
 from icu_common.adapters.processes.program_end import ends_quietly
 from icu_common.core.configuration.config import settings_of
 from icu_common.core.configuration.option_bounds import check_bounds, named_path
@@ -183,7 +178,7 @@ def _views_report(views: Sequence[ViewError]) -> list[dict[str, Any]]:
     return [{"name": v.name, "corners": v.corners, "rms_px": v.rms_px, "outlier": v.outlier} for v in views]
 
 
-def _report(board: Board, result: CameraCalibration | StereoCalibration, views: Sequence[BoardView]) -> dict[str, Any]:
+def _report(board: Board, result: CameraCalibration | PairCalibration, views: Sequence[BoardView]) -> dict[str, Any]:
     reaches = coverage(board, views)
     report: dict[str, Any] = {
         "board": board.title,

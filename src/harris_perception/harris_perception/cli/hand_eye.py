@@ -15,7 +15,9 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from harris_perception.core.hand_eye.wrist_camera import WristCamera, WristConfig, calibrate_wrist
+from harris_perception.core.wrist.wrist_camera import calibrate_wrist
+from harris_perception.core.wrist.wrist_motion import WristConfig
+from harris_perception.core.wrist.wrist_refinement import WristCamera
 from icu_common.adapters.processes.program_end import ends_quietly
 from icu_common.core.configuration.option_bounds import named_path
 from icu_common.core.geometry.geometry import Array, Transform

@@ -16,10 +16,9 @@ from visualization_msgs.msg import MarkerArray
 
 from harris_perception.core.hand_eye.calibration_file import CalibrationFileError, load, save
 from harris_perception.core.hand_eye_procedure.calibration_run import SendGoal
-from harris_perception.core.hand_eye_procedure.calibrator import (
+from harris_perception.core.hand_eye_procedure.calibrator import Calibrator
+from harris_perception.core.hand_eye_procedure.calibrator_actions import (
     Action,
-    Calibrator,
-    CalibratorConfig,
     Keep,
     Note,
     Refused,
@@ -28,6 +27,7 @@ from harris_perception.core.hand_eye_procedure.calibrator import (
     SetSigma,
     SetState,
 )
+from harris_perception.core.hand_eye_procedure.calibrator_config import CalibratorConfig
 from harris_perception.core.pose.planar_pose import FACE_POINT_COLUMNS, FacePoints
 from icu_common.core.configuration.text_bounds import plain
 from icu_common.core.geometry.frames import BASE, CAMERA_LEFT, JOINTS

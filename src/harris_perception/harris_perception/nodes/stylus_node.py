@@ -12,7 +12,8 @@ from geometry_msgs.msg import PointStamped
 from std_msgs.msg import Header
 
 from harris_perception.core.image.gray import bgr_of, has_color
-from harris_perception.core.stylus.stylus import StylusConfig, StylusTracker
+from harris_perception.core.stylus.stylus import StylusTracker
+from harris_perception.core.stylus.stylus_config import StylusConfig
 from harris_perception.nodes.alignment.panel_check import PanelCheck
 from harris_perception.nodes.stereo_calibration import StereoCalibration
 from harris_perception.pairing.free_pairs import FreePairs, Pair

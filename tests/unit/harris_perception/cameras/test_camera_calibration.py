@@ -17,13 +17,10 @@ from unit.harris_perception.drawn_board import SIZE, camera, exact, pair_poses, 
 from harris_perception.adapters.picture_files import read_gray
 from harris_perception.core.cameras.board import Board
 from harris_perception.core.cameras.board_detection import BoardDetector, BoardView, out_of_line, size_shown
-from harris_perception.core.cameras.camera_calibration import (
-    CalibrationConfig,
-    calibrate_camera,
-    calibrate_stereo,
-    common_corners,
-    residual_picture,
-)
+from harris_perception.core.cameras.calibration_config import CalibrationConfig
+from harris_perception.core.cameras.camera_calibration import calibrate_camera
+from harris_perception.core.cameras.pair_calibration import calibrate_stereo, common_corners
+from harris_perception.core.cameras.residual_picture import residual_picture
 from harris_perception.core.cameras.view_collection import ViewCollection
 from harris_perception.core.cameras.view_coverage import CalibrationError, coverage
 

@@ -14,7 +14,8 @@ from harris_perception.colour.blurred_disc import profiles
 from harris_perception.colour.coarse import coarse_colour
 from harris_perception.colour.soft_fit import Channel, fit_soft
 from harris_perception.core.stylus.ball_view import mixed_chroma_of
-from harris_perception.core.stylus.stylus import StylusConfig, StylusTracker
+from harris_perception.core.stylus.stylus import StylusTracker
+from harris_perception.core.stylus.stylus_config import StylusConfig
 
 STEREO = stereo_model()
 THIN = Look(shaft_from=0.016, shaft_radius=0.0005, noise=0.0)

@@ -19,7 +19,10 @@ from harris_perception.core.hand_eye.carriage_camera import (
     shifted,
     stylus_offset,
 )
-from harris_perception.core.hand_eye.hand_eye import DegenerateError, HandEye, HandEyeConfig, Sample
+from harris_perception.core.hand_eye.degeneracy import DegenerateError
+from harris_perception.core.hand_eye.hand_eye import HandEye
+from harris_perception.core.hand_eye.hand_eye_config import HandEyeConfig
+from harris_perception.core.hand_eye.tip_samples import Sample
 from icu_common.core.geometry.geometry import Transform
 
 AXES = np.array([[1.004, -0.003], [0.0, 0.997]])

@@ -10,7 +10,7 @@ from unit.harris_perception.rectified_pair import stored_calibration
 
 from harris_perception.core.hand_eye.calibration_file import StoredCalibration
 from harris_perception.core.hand_eye.drift import DriftConfig, DriftWatch
-from harris_perception.core.hand_eye.hand_eye import Sample
+from harris_perception.core.hand_eye.tip_samples import Sample
 from icu_common.core.geometry.geometry import Transform
 
 POSE = Transform(np.diag([1.0, -1.0, -1.0]), np.array([-0.17, 0.09, 0.66]))

@@ -11,7 +11,10 @@ import pytest
 from unit.harris_perception.rectified_pair import PAIR as CAMERAS
 from unit.harris_perception.rectified_pair import pair_covariance, triangulated
 
-from harris_perception.core.hand_eye.hand_eye import DegenerateError, HandEye, HandEyeConfig, Sample, calibrate
+from harris_perception.core.hand_eye.degeneracy import DegenerateError
+from harris_perception.core.hand_eye.hand_eye import HandEye, calibrate
+from harris_perception.core.hand_eye.hand_eye_config import HandEyeConfig
+from harris_perception.core.hand_eye.tip_samples import Sample
 from icu_common.core.geometry.geometry import Transform
 
 TRUE_AXES = np.array([[1.004, -0.003], [0.0, 0.997]])

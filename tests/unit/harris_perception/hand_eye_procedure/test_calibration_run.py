@@ -13,16 +13,13 @@ from unit.harris_perception.rectified_pair import AXES, POSE
 from unit.harris_perception.rectified_pair import PAIR as CAMERAS
 
 from harris_perception.core.hand_eye.carriage_camera import PanelSample
-from harris_perception.core.hand_eye.hand_eye import DegenerateError, HandEyeConfig, Sample
-from harris_perception.core.hand_eye_procedure.calibration_plan import Purpose, RunConfig, check_plan, corners, plan
-from harris_perception.core.hand_eye_procedure.calibration_run import (
-    Action,
-    CalibrationRun,
-    Failed,
-    Finished,
-    Progress,
-    SendGoal,
-)
+from harris_perception.core.hand_eye.degeneracy import DegenerateError
+from harris_perception.core.hand_eye.hand_eye_config import HandEyeConfig
+from harris_perception.core.hand_eye.tip_samples import Sample
+from harris_perception.core.hand_eye_procedure.calibration_plan import RunConfig, check_plan, corners, plan
+from harris_perception.core.hand_eye_procedure.calibration_run import Action, CalibrationRun, Progress, SendGoal
+from harris_perception.core.hand_eye_procedure.calibration_solution import Failed, Finished
+from harris_perception.core.hand_eye_procedure.calibration_tour import Purpose
 from harris_perception.core.hand_eye_procedure.still_watch import StillConfig, StillWatch
 from harris_perception.core.pose.planar_pose import FacePoints
 from icu_common.core.configuration.config import ConfigError

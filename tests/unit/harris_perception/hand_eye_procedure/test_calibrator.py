@@ -17,16 +17,16 @@ from harris_perception.core.hand_eye.carriage_camera import Contact
 from harris_perception.core.hand_eye.drift import DriftConfig
 from harris_perception.core.hand_eye_procedure.calibration_plan import RunConfig, plan
 from harris_perception.core.hand_eye_procedure.calibration_run import SendGoal
-from harris_perception.core.hand_eye_procedure.calibrator import (
+from harris_perception.core.hand_eye_procedure.calibrator import Calibrator
+from harris_perception.core.hand_eye_procedure.calibrator_actions import (
     Action,
-    Calibrator,
-    CalibratorConfig,
     Note,
     Refused,
     SetAxes,
     SetPose,
     SetState,
 )
+from harris_perception.core.hand_eye_procedure.calibrator_config import CalibratorConfig
 from harris_perception.core.hand_eye_procedure.still_watch import StillConfig
 from harris_perception.core.pose.planar_pose import FacePoints
 from icu_common.core.geometry.frames import PANEL

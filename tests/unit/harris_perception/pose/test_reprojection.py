@@ -8,7 +8,9 @@ import pytest
 from unit.harris_perception.rectified_pair import PAIR, measured_face, triangulated
 
 from harris_perception.core.hand_eye.backlash import measure_backlash
-from harris_perception.core.hand_eye.hand_eye import HandEyeConfig, Place, Sample, calibrate, tip_place
+from harris_perception.core.hand_eye.hand_eye import calibrate, tip_place
+from harris_perception.core.hand_eye.hand_eye_config import HandEyeConfig
+from harris_perception.core.hand_eye.tip_samples import Place, Sample
 from harris_perception.core.pose.planar_pose import FACE_POINT_COLUMNS, FacePoints, fit_pose
 from harris_perception.core.pose.reprojection import RayError, pair_pixels, panel_origin, refine_panel, refine_points
 from icu_common.core.geometry.geometry import Transform

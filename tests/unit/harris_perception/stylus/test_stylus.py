@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 from unit.harris_perception.rendered_stylus import MAGENTA, STEREO, TIP, Look, draw, render, stereo_model
 
-from harris_perception.core.stylus.stylus import StylusConfig, StylusTracker
+from harris_perception.core.stylus.stylus import StylusTracker
+from harris_perception.core.stylus.stylus_config import StylusConfig
 from icu_common.core.configuration.config import ConfigError
 
 

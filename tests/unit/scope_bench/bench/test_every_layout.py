@@ -12,7 +12,8 @@ from parameter_files import parameters
 from harris_perception.core.corners.harris import HarrisDetector
 from harris_perception.core.recognition.panel_state import PanelReader
 from harris_perception.core.recognition.recognition import PanelRecogniser
-from harris_perception.core.stylus.stylus import StylusConfig, StylusTracker
+from harris_perception.core.stylus.stylus import StylusTracker
+from harris_perception.core.stylus.stylus_config import StylusConfig
 from icu_common.core.configuration.config import from_mapping
 from icu_common.core.geometry.camera_model import CameraModel, StereoModel
 from icu_common.core.panel.panel_layout import load_layout

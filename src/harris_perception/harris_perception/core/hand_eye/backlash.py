@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from harris_perception.core.hand_eye.hand_eye import HandEye, Place
+from harris_perception.core.hand_eye.hand_eye import HandEye
+from harris_perception.core.hand_eye.tip_samples import Place
 
 _WORTH = 8.0
 """Weight of the predicted error of a position relative to the misfit of its own pair, in degrees of freedom.

@@ -12,7 +12,7 @@ import numpy as np
 import yaml
 
 from harris_perception.core.hand_eye.carriage_camera import shifted
-from harris_perception.core.hand_eye.hand_eye import axes_skew
+from harris_perception.core.hand_eye.machine_axes import axes_skew
 from icu_common.core.geometry.camera_model import CameraModel
 from icu_common.core.geometry.geometry import Array, Transform
 

@@ -15,22 +15,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from harris_perception.core.hand_eye.hand_eye import (
-    DegenerateError,
-    Fit,
-    HandEye,
-    HandEyeConfig,
-    Place,
-    Sample,
-    check_side,
-    check_stylus,
-    checked,
-    extension_design,
-    fit_tip,
-    misfit_rms,
-    robust_fit,
-    split_axes,
-)
+from harris_perception.core.hand_eye.degeneracy import DegenerateError, checked
+from harris_perception.core.hand_eye.hand_eye import HandEye
+from harris_perception.core.hand_eye.hand_eye_config import HandEyeConfig
+from harris_perception.core.hand_eye.machine_axes import check_side, check_stylus, split_axes
+from harris_perception.core.hand_eye.robust_regression import Fit, misfit_rms, robust_fit
+from harris_perception.core.hand_eye.tip_regression import fit_tip
+from harris_perception.core.hand_eye.tip_samples import Place, Sample, extension_design
 from harris_perception.core.pose.planar_pose import FacePoints
 from harris_perception.core.pose.reprojection import RayError, panel_origin, refine_panel
 from icu_common.core.geometry.camera_model import CameraModel, StereoModel

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from harris_perception.core.hand_eye.carriage_camera import PanelSample
-from harris_perception.core.hand_eye.hand_eye import Sample
+from harris_perception.core.hand_eye.tip_samples import Sample
 from harris_perception.core.hand_eye_procedure.calibration_plan import RunConfig
 from harris_perception.core.hand_eye_procedure.calibration_tour import Stop
 from harris_perception.core.hand_eye_procedure.still_watch import NO_READINGS, StillConfig, panel_sample_of, sample_of

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from harris_perception.core.hand_eye.hand_eye import HandEyeConfig, Sample, checked
+from harris_perception.core.hand_eye.degeneracy import checked
+from harris_perception.core.hand_eye.hand_eye_config import HandEyeConfig
+from harris_perception.core.hand_eye.tip_samples import Sample
 from harris_perception.core.hand_eye_procedure.calibration_tour import (
-    BACKLASH,
     FITTED,
-    SAMPLED,
     Aims,
     Purpose,
     Stop,
@@ -20,8 +20,6 @@ from harris_perception.core.hand_eye_procedure.calibration_tour import (
 )
 from icu_common.core.configuration.config import Config, ConfigError, setting
 from icu_common.core.geometry.geometry import Array
-
-__all__ = ["BACKLASH", "FITTED", "SAMPLED", "Purpose", "RunConfig", "Stop", "check_plan", "next_stops", "plan"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

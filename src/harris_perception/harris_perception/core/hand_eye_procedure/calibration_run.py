@@ -13,33 +13,25 @@ from dataclasses import dataclass
 import numpy as np
 
 from harris_perception.core.hand_eye.carriage_camera import Contact
-from harris_perception.core.hand_eye.hand_eye import DegenerateError, HandEyeConfig, MisfitError
+from harris_perception.core.hand_eye.degeneracy import DegenerateError, MisfitError
+from harris_perception.core.hand_eye.hand_eye_config import HandEyeConfig
 from harris_perception.core.hand_eye_procedure.calibration_look import Look, Patience, Rest
 from harris_perception.core.hand_eye_procedure.calibration_plan import RunConfig, next_stops, plan
 from harris_perception.core.hand_eye_procedure.calibration_solution import Failed, Finished, Samples
 from harris_perception.core.hand_eye_procedure.calibration_tour import SAMPLED, Purpose, Stop, seconds
+from harris_perception.core.hand_eye_procedure.lowering_check import LoweringCheck
+from harris_perception.core.hand_eye_procedure.panel_clearance import PanelClearance
 from harris_perception.core.hand_eye_procedure.still_watch import StillConfig
 from harris_perception.core.pose.planar_pose import FacePoints
 from icu_common.core.geometry.camera_model import StereoModel
 from icu_common.core.geometry.geometry import Array, Transform
 from icu_common.core.goals.results import GoalResult, Outcome
 
-__all__ = ["Action", "CalibrationRun", "Failed", "Finished", "Progress", "SendGoal"]
-
-CLEAR_M = 0.001
-"""Minimum clearance of the ball above the highest point of the panel: a calibration must not touch anything."""
-_LEAST_PART = 0.5
-"""Minimum share of the configured lowering that is still useful if there is no room for all of it."""
-_LEAN = 0.1
-"""Maximum tilt of a panel (rad): the panel may be nearer by this share of the distance to the last measured
-position."""
-NEVER_SEEN = (
+_NEVER_SEEN = (
     "the tip was nowhere seen by both cameras: are left and right swapped, is one upside down, out of focus, or is the "
     "ball another one? The stylus tracker's diagnostics say more"
 )
-_WRONG_WAYS = 2
-"""Number of successive wrong lowering distances that indicate a faulty stylus, not a wrong sighting."""
-LATE = ("stale", "late_image", "slow")
+_LATE = ("stale", "late_image", "slow")
 """Codes of a goal's result that mean that something was late, and nothing is wrong."""
 _PAUSE_S = 0.25
 """Seconds before a goal with such a result is sent again, doubled with each retry."""
@@ -106,18 +98,14 @@ class CalibrationRun:
         self._goal_ids: set[str] = set()
         self._accepted = ""
         self._arrived = self._pausing = False
-        self._start_ns = self._sent_ns = self._deadline_ns = now_ns
+        self._start_ns = self._deadline_ns = now_ns
         self._look: Look | None = None
         self._left: Look | None = None
         self._samples = Samples(config, solver, cameras, contacts)
         self._done = 0
         self._missed: list[str] = []
-        self._late = ""
-        self._face: Transform | None = None
-        self._proud_m = 0.0
-        self._looks: dict[tuple[float, float], tuple[Transform | None, Array, float]] = {}
-        self._upper: tuple[Stop, Array] | None = None
-        self._wrong_ways = 0
+        self._clearance = PanelClearance(see_panel=self._see_panel)
+        self._lowering = LoweringCheck(solver.max_scale_error, config.max_held_out_m)
         self.over = False
 
     def start(self, now_ns: int) -> list[Action]:
@@ -126,7 +114,7 @@ class CalibrationRun:
 
     def keep_clear_of(self, camera_from_panel: Transform | None, proud_m: float) -> None:
         """Set the panel's pose, None while it is unseen, and the room that its tallest control and the ball take."""
-        self._face, self._proud_m = camera_from_panel, proud_m
+        self._clearance.set_face(camera_from_panel, proud_m)
 
     def driver_state(self, text: str) -> list[Action]:
         """Set the driver's state; any state other than idle and moving ends the run."""
@@ -150,7 +138,7 @@ class CalibrationRun:
         if result.outcome is Outcome.REJECTED and self._accepted not in ("", result.goal_id):
             return []  # another goal for this stop is running, so the controller is busy
         reason = result.reason or "no reason given"
-        if result.code in LATE and self._patience.again():
+        if result.code in _LATE and self._patience.again():
             self._accepted, self._pausing = "", True
             self._deadline_ns = now_ns + self._patience.limit_ns(_PAUSE_S)
             return [self._progress(now_ns, self._patience.note(reason))]
@@ -228,9 +216,9 @@ class CalibrationRun:
             return self._miss(seen)
         stop = look.stop
         if seen.tip is not None:
-            if wrong := self._wrong_way(stop, seen.tip.tip):
+            if wrong := self._lowering.fault(stop, seen.tip.tip):
                 return self._fail(wrong)
-            self._looks[stop.x, stop.y] = look.camera_from_panel, seen.tip.tip, stop.z
+            self._clearance.measured(stop, look.camera_from_panel, seen.tip.tip)
         if stop.purpose is not Purpose.ABOVE:
             self._samples.keep(stop.purpose, seen)
             self._done += 1
@@ -241,57 +229,7 @@ class CalibrationRun:
         if len(self._missed) <= self._config.max_missed * self._places:
             return []
         missed = f"{len(self._missed)} of {self._places} places gave no sample; last: {why}"
-        return self._fail(missed if self._looks or not self._see_tip else f"{missed}; {NEVER_SEEN}")
-
-    def _wrong_way(self, stop: Stop, tip: Array) -> str:
-        """Compare a lowering distance with the measured one; the complete fit would detect an error only at the end."""
-        (above, before), self._upper = self._upper or (stop, tip), (stop, tip)
-        way_m = above.z - stop.z
-        if (above.x, above.y) != (stop.x, stop.y) or way_m <= 0:
-            return ""
-        seen_m = float(np.linalg.norm(tip - before))
-        allowed_m = self._solver.max_scale_error * way_m + self._config.max_held_out_m
-        self._wrong_ways = self._wrong_ways + 1 if abs(seen_m - way_m) > allowed_m else 0
-        if self._wrong_ways < _WRONG_WAYS:
-            return ""
-        return (
-            f"lowered by {way_m * 1e3:.1f} mm the tip moved by {seen_m * 1e3:.1f} mm: check the stylus's steps per mm "
-            "($102), whether it is stuck, and the camera calibration"
-        )
-
-    def _height(self, stop: Stop) -> tuple[float, float]:
-        """Return the homed tip's height above the panel at the nearest measured position, and the distance to it."""
-        if not self._looks:
-            return -np.inf, np.inf
-        x, y = min(self._looks, key=lambda place: np.hypot(place[0] - stop.x, place[1] - stop.y))
-        seen, tip, z = self._looks[x, y]
-        # With fixed cameras the panel may have been recognised, or moved, after the tip was seen there.
-        face = self._face if seen is None else seen
-        assert face is not None
-        return float(face.inverse().apply(tip)[2]) - z, float(np.hypot(x - stop.x, y - stop.y))
-
-    def _room(self, stop: Stop) -> Stop | str | None:
-        """Return the stop, raised if there is less room; None: measure from above first; or why it is forbidden.
-
-        Only known obstacles count: if the panel is not recognised, there is no limit.
-        """
-        if stop.z == 0 or not (self._see_panel or self._face is not None):
-            return stop
-        height_m, away_m = self._height(stop)
-        free_m = height_m - self._proud_m - CLEAR_M - _LEAN * away_m
-        if free_m >= -stop.z:
-            return stop
-        if away_m > 0:
-            return None
-        least_m = -_LEAST_PART * stop.z
-        if free_m >= least_m:
-            return stop._replace(z=-free_m)
-        return (
-            f"lowered by {least_m * 1e3:.1f} mm the stylus could touch the panel, above which its tip is "
-            f"{height_m * 1e3:.1f} mm (the tallest control and the ball take {self._proud_m * 1e3:.1f}): put the "
-            f"instrument {(least_m - free_m) * 1e3:.1f} mm further away, or let run.heights_m and held_out_height_m go "
-            "less far"
-        )
+        return self._fail(missed if self._clearance.known or not self._see_tip else f"{missed}; {_NEVER_SEEN}")
 
     def tick(self, now_ns: int) -> list[Action]:
         """Check the deadline."""
@@ -359,7 +297,7 @@ class CalibrationRun:
             return
         yield self._progress(now_ns)
         stop = self._stops[self._index]
-        room = self._room(stop)
+        room = self._clearance.room(stop)
         if isinstance(room, str):
             yield from self._fail(room)
             return

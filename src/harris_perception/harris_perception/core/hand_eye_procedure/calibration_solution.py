@@ -15,15 +15,10 @@ from harris_perception.core.hand_eye.carriage_camera import (
     held_out_on_carriage,
     origin_place,
 )
-from harris_perception.core.hand_eye.hand_eye import (
-    DegenerateError,
-    HandEye,
-    HandEyeConfig,
-    Place,
-    Sample,
-    calibrate,
-    tip_place,
-)
+from harris_perception.core.hand_eye.degeneracy import DegenerateError
+from harris_perception.core.hand_eye.hand_eye import HandEye, calibrate, tip_place
+from harris_perception.core.hand_eye.hand_eye_config import HandEyeConfig
+from harris_perception.core.hand_eye.tip_samples import Place, Sample
 from harris_perception.core.hand_eye_procedure.calibration_look import Seen
 from harris_perception.core.hand_eye_procedure.calibration_plan import RunConfig, corners
 from harris_perception.core.hand_eye_procedure.calibration_tour import BACKLASH, FITTED, SAMPLED, Purpose

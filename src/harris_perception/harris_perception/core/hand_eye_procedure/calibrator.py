@@ -7,14 +7,13 @@ method.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
 from datetime import datetime, timezone
 from typing import Any
 
 import numpy as np
 
-from harris_perception.core.hand_eye.calibration_file import CalibrationFileError, StoredCalibration, check_fits
+from harris_perception.core.hand_eye.calibration_file import StoredCalibration
 from harris_perception.core.hand_eye.carriage_camera import (
     MAX_CONTACTS,
     Contact,
@@ -22,97 +21,25 @@ from harris_perception.core.hand_eye.carriage_camera import (
     calibrate_on_carriage,
     stylus_offset,
 )
-from harris_perception.core.hand_eye.drift import DriftConfig, DriftWatch
-from harris_perception.core.hand_eye.hand_eye import (
-    DegenerateError,
-    HandEye,
-    HandEyeConfig,
-    Sample,
-    calibrate,
-    check_axes,
-    check_stylus,
-)
+from harris_perception.core.hand_eye.degeneracy import DegenerateError
+from harris_perception.core.hand_eye.drift import DriftWatch
+from harris_perception.core.hand_eye.hand_eye import HandEye, calibrate
+from harris_perception.core.hand_eye.tip_samples import Sample
 from harris_perception.core.hand_eye_procedure import calibration_run
-from harris_perception.core.hand_eye_procedure.calibration_plan import RunConfig, check_plan, corners
-from harris_perception.core.hand_eye_procedure.calibration_run import (
-    CalibrationRun,
-    Failed,
-    Finished,
-    Progress,
-    SendGoal,
-)
-from harris_perception.core.hand_eye_procedure.still_watch import NO_READINGS, StillConfig, StillWatch
+from harris_perception.core.hand_eye_procedure.calibration_in_use import CalibrationInUse
+from harris_perception.core.hand_eye_procedure.calibration_plan import check_plan, corners
+from harris_perception.core.hand_eye_procedure.calibration_run import CalibrationRun, Progress, SendGoal
+from harris_perception.core.hand_eye_procedure.calibration_solution import Failed, Finished
+from harris_perception.core.hand_eye_procedure.calibrator_actions import Action, Keep, Note, Refused, StateText
+from harris_perception.core.hand_eye_procedure.calibrator_config import CalibratorConfig
+from harris_perception.core.hand_eye_procedure.conditions import Conditions
+from harris_perception.core.hand_eye_procedure.still_watch import NO_READINGS, StillWatch
 from harris_perception.core.pose.planar_pose import FacePoints
 from harris_perception.core.stereo.pairing import Pairing
-from icu_common.core.configuration.config import Config, nested, setting
-from icu_common.core.geometry.camera_model import CameraModel, StereoModel
+from icu_common.core.geometry.camera_model import CameraModel
 from icu_common.core.geometry.frames import PANEL
 from icu_common.core.geometry.geometry import Array, Transform
 from icu_common.core.goals.results import GoalResult
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CalibratorConfig(Config):
-    """Settings of the file, the machine and the procedure."""
-
-    calibration_file: str = setting("", "File that stores the calibration; empty: not stored", read_only=True)
-    machine: str = setting("default", "Name of the machine's configuration; a calibration is valid only for it")
-    ball_radius_m: float = setting(
-        0.002, "Radius of the stylus's ball, for contacts", minimum=0.0, maximum=0.05, unit="m"
-    )
-    run: RunConfig = nested(RunConfig)
-    still: StillConfig = nested(StillConfig)
-    solver: HandEyeConfig = nested(HandEyeConfig)
-    drift: DriftConfig = nested(DriftConfig)
-
-
-class Refused(ValueError):
-    """A request is rejected; the text gives the reason."""
-
-
-@dataclass(frozen=True, slots=True)
-class SetState:
-    """Publish the state."""
-
-    text: str
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class SetAxes:
-    """Publish (2, 2) base_from_reading; None: the calibration is withdrawn."""
-
-    base_from_reading: Array | None
-
-
-@dataclass(frozen=True, slots=True)
-class SetSigma:
-    """Publish the predicted error of the calibration in use, m."""
-
-    sigma_m: float
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class SetPose:
-    """Publish the pose of base_link."""
-
-    camera_from_base: Transform
-    stamp_ns: int
-
-
-@dataclass(frozen=True, slots=True)
-class Keep:
-    """Write the calibration in use to the file."""
-
-
-@dataclass(frozen=True, slots=True)
-class Note:
-    """Write a log message; the level is ``info``, ``warn`` or ``error``."""
-
-    level: str
-    text: str
-
-
-Action = SendGoal | SetState | SetAxes | SetSigma | SetPose | Keep | Note
 
 
 class Calibrator:
@@ -121,27 +48,43 @@ class Calibrator:
     def __init__(self, config: CalibratorConfig) -> None:
         self.config = config
         self.watch = StillWatch(config.still)
-        self.state = "uncalibrated"
         self.driver = "unknown"
-        self.cameras: dict[str, CameraModel] = {}
-        self.reading: Array | None = None
         self.samples: list[Sample] = []
         self.panels: list[PanelSample] = []
         self.contacts: list[Contact] = []
         self.sightings = Pairing(2)
-        self.drift: DriftWatch | None = None
-        self.stored: StoredCalibration | None = None
-        self._looked_ns = [0, 0]
-        self._solved: HandEye | None = None
-        # A calibration from the file, or a withdrawn one: used as soon as it fits. And the reported reason why it does
-        # not fit.
-        self._loaded: StoredCalibration | None = None
-        self._refused = ""
+        self._state = StateText()
+        self._conditions = Conditions()
+        self._in_use = CalibrationInUse(config, self._conditions, self._state)
         self._run: CalibrationRun | None = None
         self._progress = Progress(0, 0, remaining_s=0.0)
         self._panel: Transform | None = None
         self._controls: dict[str, Array] = {}
-        self._settings = ""
+
+    @property
+    def state(self) -> str:
+        """State, as text."""
+        return self._state.text
+
+    @property
+    def stored(self) -> StoredCalibration | None:
+        """Calibration in use."""
+        return self._in_use.stored
+
+    @property
+    def drift(self) -> DriftWatch | None:
+        """Comparison of the calibration in use with later measurements."""
+        return self._in_use.drift
+
+    @property
+    def cameras(self) -> Mapping[str, CameraModel]:
+        """Known cameras, by side."""
+        return self._conditions.cameras
+
+    @property
+    def reading(self) -> Array | None:
+        """Newest readings (3,) m."""
+        return self._conditions.reading
 
     @property
     def running(self) -> bool:
@@ -155,12 +98,10 @@ class Calibrator:
     def configure(self, config: CalibratorConfig, now_ns: int) -> list[Action]:
         """Apply new settings."""
         self.config, self.watch = config, StillWatch(config.still)
-        actions: list[Action] = []
-        if self.stored is not None and self.drift is not None and self.drift.config != config.drift:
-            told, self.drift = self.drift.text, DriftWatch(config.drift, self.stored)
-            if told and self._run is None:
-                actions += self._set_state(f"calibrated: {self.stored.summary()}")
-        return actions + self._check(now_ns)
+        return self._in_use.configure(config, now_ns, running=self.running)
+
+    def _check(self, now_ns: int) -> list[Action]:
+        return self._in_use.check(now_ns, running=self.running)
 
     def close(self) -> list[Action]:
         """Report that a run was interrupted; the controller finishes its goal and then rests."""
@@ -170,28 +111,27 @@ class Calibrator:
 
     def offer(self, loaded: StoredCalibration) -> list[Action]:
         """Offer the calibration from the file; it is used once the cameras are known."""
-        self._loaded = loaded
-        return self._set_state("uncalibrated: waiting for camera_info to check the calibration file")
+        return self._in_use.offer(loaded)
 
     def reject_file(self, reason: str) -> list[Action]:
         """Record that the file cannot be read."""
-        return [Note("error", reason), *self._set_state(f"failed: {reason}")]
+        return [Note("error", reason), *self._state.set(f"failed: {reason}")]
 
     def take_camera(self, side: str, camera: CameraModel, now_ns: int) -> list[Action]:
         """Set a camera that is new or has changed."""
         actions = []
-        if side in self.cameras:
+        if side in self._conditions.cameras:
             actions = self._forget_seen(f"the {side} camera's calibration has changed meanwhile")
-        self.cameras[side] = camera
+        self._conditions.cameras[side] = camera
         return actions + self._check(now_ns)
 
     def lose_camera(self, side: str, width: int, height: int) -> list[Action]:
         """Stop using calibrations with a camera that has been replaced by an unknown one."""
-        if self.cameras.pop(side, None) is None:
+        if self._conditions.cameras.pop(side, None) is None:
             return []
         why = f"the {side} camera's pictures of {width} x {height} px have no calibration"
         actions = self._forget_seen(why)
-        return actions + (self._withdraw(why) if self.stored is not None else [])
+        return actions + self._in_use.withdraw(why)
 
     def _forget_seen(self, why: str) -> list[Action]:
         """Discard sightings of a camera that has changed; they cannot be combined with those of another camera."""
@@ -204,11 +144,10 @@ class Calibrator:
 
     def take_reading(self, stamp_ns: int, reading: Array) -> list[Action]:
         """Add the readings (3,) m."""
-        moved = self.reading is None or bool(np.abs(reading - self.reading).max() > 0)
-        self.reading = reading
-        actions = []
-        if moved and self.stored is not None and self.stored.on_carriage:
-            actions = self._pose(self.stored, stamp_ns)
+        before = self._conditions.reading
+        moved = before is None or bool(np.abs(reading - before).max() > 0)
+        self._conditions.reading = reading
+        actions = self._in_use.follow_carriage(stamp_ns) if moved else []
         self.watch.reading(stamp_ns, reading)
         if self._run is not None:
             self._run.reading(stamp_ns, reading)
@@ -260,14 +199,14 @@ class Calibrator:
 
     def take_settings(self, text: str, now_ns: int) -> list[Action]:
         """Set the board's settings."""
-        self._settings = text
+        self._conditions.settings = text
         return self._check(now_ns)
 
     def take_contact(self, point: Array, frame: str, now_ns: int) -> list[Action]:
         """Store a contact of the stylus with this point (3,) m of the panel at the present readings."""
         if frame != PANEL or not np.isfinite(point).all():
             why = f"{point.tolist()} in {frame!r}: a finite point in {PANEL!r} is needed"
-        elif self.reading is None:
+        elif (reading := self._conditions.reading) is None:
             why = NO_READINGS
         elif unrest := self.watch.unrest(now_ns):
             why = unrest
@@ -277,7 +216,7 @@ class Calibrator:
             why = f"there are {MAX_CONTACTS} already; solve"
         else:
             ball = np.array([0.0, 0.0, self.config.ball_radius_m])
-            self.contacts.append(Contact(reading=self.reading, in_panel=point + ball))
+            self.contacts.append(Contact(reading=reading, in_panel=point + ball))
             x, y, _ = point
             return [Note("info", f"contact {len(self.contacts)} at {x:.4f}, {y:.4f} m of the panel")]
         return [Note("error", f"contact refused: {why}")]
@@ -307,7 +246,7 @@ class Calibrator:
             raise Refused("a calibration is already running")
         if self.driver.split(":")[0] != "idle":
             raise Refused(f"the driver says {self.driver!r}: connected, homed and idle is needed")
-        cameras, config = self._pair(), self.config
+        cameras, config = self._conditions.pair(), self.config
         try:
             check_plan(config.run, config.solver)
         except DegenerateError as error:
@@ -343,7 +282,7 @@ class Calibrator:
         """Calibrate from the added samples."""
         if self._run is not None:
             raise Refused("a calibration is running")
-        cameras, solver = self._pair(), self.config.solver
+        cameras, solver = self._conditions.pair(), self.config.solver
         try:
             if self._on_carriage:
                 solved = calibrate_on_carriage(self.panels, self.samples, cameras, self.contacts, solver)
@@ -353,16 +292,7 @@ class Calibrator:
             raise Refused(str(error)) from error
         found = self._describe(solved, np.empty(0), np.full((2, 2), np.nan), now_ns)
         self.contacts.clear()
-        return self._use(found, solved, now_ns)
-
-    def _pair(self) -> StereoModel:
-        for side in ("left", "right"):
-            if side not in self.cameras:
-                raise Refused(f"no camera_info of the {side} camera has arrived")
-        try:
-            return StereoModel(left=self.cameras["left"], right=self.cameras["right"])
-        except ValueError as error:
-            raise Refused(f"camera_info: {error}") from error
+        return self._in_use.use(found, solved, now_ns)
 
     # A run and its results.
 
@@ -375,7 +305,7 @@ class Calibrator:
                 self._progress = event
                 note = f" ({event.note})" if event.note else ""
                 text = f"calibrating {event.done}/{event.total}, {event.remaining_s:.0f} s left{note}"
-                actions += self._set_state(text)
+                actions += self._state.set(text)
             elif isinstance(event, Failed):
                 actions += self._fail_run(event.reason)
             else:
@@ -386,14 +316,14 @@ class Calibrator:
         if self._run is None:
             return []
         self._run = None
-        return [Note("error", f"calibration failed: {reason}"), *self._set_state(f"failed: {reason}")]
+        return [Note("error", f"calibration failed: {reason}"), *self._state.set(f"failed: {reason}")]
 
     def _finish(self, event: Finished, now_ns: int) -> list[Action]:
         self._run = None
         plays = [(float("nan"), float("nan")) if b is None else (b.play_m, b.sigma_m) for b in event.backlash]
         found = self._describe(event.calibration, event.held_out_m, np.array(plays), now_ns)
         self.contacts.clear()
-        return [*self._use(found, event.calibration, now_ns), Keep()]
+        return [*self._in_use.use(found, event.calibration, now_ns), Keep()]
 
     def _describe(self, solved: HandEye, held_out_m: Array, plays_m: Array, now_ns: int) -> StoredCalibration:
         """Return the values to store."""
@@ -403,7 +333,7 @@ class Calibrator:
             offset = stylus_offset(solved, camera_from_panel, self.contacts, self.config.solver).offset
         panel = None if camera_from_panel is None else solved.camera_from_base.inverse() @ camera_from_panel
         return StoredCalibration(
-            settings=self._settings,
+            settings=self._conditions.settings,
             mounting="carriage" if solved.on_carriage else "fixed",
             backlash_m=plays_m[:, 0],
             backlash_sigma_m=plays_m[:, 1],
@@ -412,8 +342,8 @@ class Calibrator:
             camera_from_base=solved.camera_from_base,
             base_from_reading=solved.base_from_reading,
             stylus_direction=solved.stylus_direction,
-            left=self.cameras["left"],
-            right=self.cameras.get("right"),
+            left=self._conditions.cameras["left"],
+            right=self._conditions.cameras.get("right"),
             machine=self.config.machine,
             rms_m=solved.fit.rms_m,
             sigma_m=solved.sigma_m(corners(self.config.run)),
@@ -422,106 +352,16 @@ class Calibrator:
             made_at=datetime.fromtimestamp(now_ns * 1e-9, timezone.utc).isoformat(timespec="seconds"),
         )
 
-    # The calibration in use.
-
-    def _use(self, calibration: StoredCalibration, solved: HandEye | None, now_ns: int) -> list[Action]:
-        self.stored, self._solved = calibration, solved
-        self._loaded, self._refused = None, ""
-        self.drift = DriftWatch(self.config.drift, calibration)
-        return [
-            SetSigma(calibration.sigma_m),
-            SetAxes(calibration.base_from_reading),
-            *self._pose(calibration, now_ns),
-            *self._set_state(f"calibrated: {calibration.summary()}"),
-        ]
-
-    def _pose(self, calibration: StoredCalibration, stamp_ns: int) -> list[Action]:
-        """Publish the present pose of base_link; with cameras on the carriage it changes with every reading."""
-        if calibration.on_carriage and self.reading is None:
-            return []
-        reading = np.zeros(3) if self.reading is None else self.reading
-        return [SetPose(calibration.camera_from_base_at(reading), stamp_ns)]
-
-    def _withdraw(self, why: str) -> list[Action]:
-        """Withdraw the calibration in use until it fits again: without axes the controller touches nothing."""
-        self._loaded, self._refused = self.stored, why
-        self.stored, self._solved, self.drift = None, None, None
-        reason = f"the calibration in use is refused: {why}"
-        return [SetAxes(None), Note("error", reason), *self._set_state(f"failed: {reason}")]
-
-    def _check(self, now_ns: int) -> list[Action]:
-        """Check again whether the calibration in use, or else the waiting one, fits the present state."""
-        return self._check_loaded(now_ns) if self.stored is None else self._check_used(self.stored)
-
-    def _check_used(self, used: StoredCalibration) -> list[Action]:
-        """Reject the calibration in use if the camera, the resolution or the machine's settings have changed."""
-        if "left" not in self.cameras:
-            return []
-        try:
-            self._check_fit(used)
-        except CalibrationFileError as error:
-            return self._withdraw(str(error))
-        return []
-
-    def _check_loaded(self, now_ns: int) -> list[Action]:
-        """Use the calibration from the file, or the withdrawn one, once it fits the cameras and no run is active."""
-        loaded, left, right = self._loaded, self.cameras.get("left"), self.cameras.get("right")
-        if loaded is None or left is None or (right is None and loaded.right is not None) or self._run is not None:
-            return []
-        try:
-            self._check_fit(loaded)
-        except CalibrationFileError as error:
-            # Reported once: a later report, for example of a run, is newer.
-            if str(error) == self._refused:
-                return []
-            self._refused = str(error)
-            reason = f"the stored calibration is refused: {error}"
-            return [Note("error", reason), *self._set_state(f"failed: {reason}")]
-        return self._use(loaded, None, now_ns)
-
-    def _check_fit(self, calibration: StoredCalibration) -> None:
-        config, cameras = self.config, self.cameras
-        mounting = config.run.mounting
-        check_fits(calibration, cameras["left"], cameras.get("right"), config.machine, self._settings, mounting)
-        try:
-            check_axes(calibration.base_from_reading, config.solver)
-            check_stylus(calibration.stylus_direction, config.solver)
-        except DegenerateError as error:
-            raise CalibrationFileError(str(error)) from error
-
-    def _set_state(self, text: str) -> list[Action]:
-        self.state = text
-        return [SetState(text)]
-
     # Periodic report, once a second.
 
     @property
     def drifted(self) -> str:
         """Parts that are off their expected positions; not monitored during a run."""
-        looked = self.stored is not None and self._run is None and self.reading is not None
-        return self.drift.text if self.drift is not None and looked else ""
+        return self._in_use.drifted(running=self.running)
 
     def look_around(self, now_ns: int) -> list[Action]:
         """Check tip and panel while nothing moves; report when drift starts or ends."""
-        if self.drift is None or self.stored is None or self._run is not None or self.reading is None:
-            return []
-        before = self.drift.off
-        # Sightings that were already checked do not count again. A stamp in the future precedes a step back of the
-        # clock.
-        tips_ns, panels_ns = (stamp if stamp <= now_ns else 0 for stamp in self._looked_ns)
-        sample, panel = self.watch.sample(now_ns, tips_ns), self.watch.panel_sample(now_ns, panels_ns)
-        if isinstance(sample, Sample):
-            self._looked_ns[0] = self.watch.newest_ns[0]
-            self.drift.tip(sample)
-        if isinstance(panel, PanelSample):
-            self._looked_ns[1] = self.watch.newest_ns[1]
-            base_from_camera = self.stored.camera_from_base_at(panel.reading).inverse()
-            self.drift.panel(base_from_camera @ panel.camera_from_panel, self._controls)
-        text = self.drift.text
-        if self.drift.off == before:
-            return []
-        note = Note("warn", text) if text else Note("info", "everything is seen in its place again")
-        return [note, *self._set_state(f"calibrated: {self.stored.summary()}" + (f"; drift: {text}" if text else ""))]
+        return self._in_use.look_around(self.watch, self._controls, now_ns, running=self.running)
 
     @property
     def level(self) -> str:
@@ -535,11 +375,4 @@ class Calibrator:
         if self._run is not None:
             done, total = self._progress.done, self._progress.total
             values += [("done", done), ("total", total), ("remaining_s", f"{self._progress.remaining_s:.1f}")]
-        if self.stored is not None:
-            values += self.stored.values()
-        if self._solved is not None:
-            values.append(("chi_square_per_freedom", f"{self._solved.fit.variance_factor:.2f}"))
-        if self.drift is not None:
-            values += [("tip_off_mm", f"{self.drift.tip_m * 1e3:.3f}"), ("drift", self.drifted or "none")]
-            values.append(("control_off_mm", f"{self.drift.control_m * 1e3:.3f}"))
-        return values
+        return values + self._in_use.values(running=self.running)

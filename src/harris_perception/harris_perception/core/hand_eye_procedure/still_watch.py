@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from harris_perception.core.hand_eye.carriage_camera import PanelSample
-from harris_perception.core.hand_eye.hand_eye import Sample
+from harris_perception.core.hand_eye.tip_samples import Sample
 from harris_perception.core.pose.planar_pose import FacePoints
 from icu_common.core.configuration.config import Config, setting
 from icu_common.core.geometry.geometry import Array, Transform, mean_pose

@@ -13,10 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from harris_perception.core.stylus.ball_view import Picture, chroma_of
+from harris_perception.core.stylus.image_windows import Window
 from icu_common.core.geometry.geometry import Array
-
-Window = tuple[int, int, int, int]
-"""x0, y0, x1, y1 in raw pixels; x1 and y1 are exclusive."""
 
 _LARGEST_SHIFT_PX = 0.08
 _LARGEST_CHANGE = 10.0

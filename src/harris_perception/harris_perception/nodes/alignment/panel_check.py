@@ -17,7 +17,7 @@ from harris_perception.core.alignment.layout_watch import LayoutWatch, text_of
 from harris_perception.core.alignment.pair_watch import PairWatch
 from harris_perception.core.recognition.face_measurement import FaceMeter
 from harris_perception.core.recognition.recognition import RecognitionConfig, face_meter
-from harris_perception.core.stylus.stylus import StylusConfig
+from harris_perception.core.stylus.stylus_config import StylusConfig
 from icu_common.core.alignment.pair import PairCode, PairState
 from icu_common.core.geometry.camera_model import StereoModel
 from icu_common.core.geometry.frames import CAMERA_LEFT

@@ -9,8 +9,10 @@ import cv2
 import numpy as np
 import pytest
 
-from harris_perception.core.hand_eye.hand_eye import DegenerateError
-from harris_perception.core.hand_eye.wrist_camera import METHODS, calibrate_wrist, closed_form, relative_motions
+from harris_perception.core.hand_eye.degeneracy import DegenerateError
+from harris_perception.core.wrist.closed_forms import METHODS, closed_form
+from harris_perception.core.wrist.pose_pairs import relative_motions
+from harris_perception.core.wrist.wrist_camera import calibrate_wrist
 from icu_common.core.geometry.geometry import Transform
 
 
