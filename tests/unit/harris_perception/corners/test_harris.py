@@ -612,7 +612,8 @@ from harris_perception.core.edges import edge_kernels
 from harris_perception.core.edges import edge_tracing
 from harris_perception.core.corners import harris_kernels
 from harris_perception.core.corners import structure
-from harris_perception.core.edges.edges import CombinedDetector, EdgeDetector
+from harris_perception.core.edges.combined_detector import CombinedDetector
+from harris_perception.core.edges.edges import EdgeDetector
 from harris_perception.core.corners.harris import HarrisConfig, HarrisDetector
 from harris_perception.core.corners.repeatable import RepeatableDetector
 

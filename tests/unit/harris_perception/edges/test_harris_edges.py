@@ -16,7 +16,8 @@ from harris_perception.core.corners.harris_laplace import HarrisLaplaceConfig, H
 from harris_perception.core.corners.repeatable import RepeatableDetector
 from harris_perception.core.edges import edge_kernels as kernels
 from harris_perception.core.edges import edges as edges_module
-from harris_perception.core.edges.edges import CORNER, EDGE, FLAT, CombinedDetector, EdgeConfig, EdgeDetector
+from harris_perception.core.edges.combined_detector import CombinedDetector
+from harris_perception.core.edges.edges import CORNER, EDGE, FLAT, EdgeConfig, EdgeDetector
 from harris_perception.core.image.noise import noise_above
 
 
