@@ -38,7 +38,7 @@ ONLY_ELSEWHERE = {
         *("recognition_node", "geometry", "stroke_font", "real_time", "compiled"),
         *("harris", "edges", "edge_kernels", "harris_kernels", "harris_laplace", "edge_tracing", "deriche", "matching"),
         *("stereo_matching", "stylus", "ball_view", "ball_fit", "plane_fit", "planar_pose", "reprojection"),
-        *("rectifier",),
+        *("rectifier", "value_range"),
         *("pair_rotation", "pair_watch", "layout", "pair", "layout_message", "pair_message", "panel_check"),
         *("structure", "lanes", "edge_alignment", "overlay", "foxglove_sidecar", "passwords", "secret_files", "audit"),
         "bridge_files",

@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from harris_perception.core.corners.harris import checked, from_lowest, in_range
+from harris_perception.core.corners.value_range import checked, from_lowest, in_range
 from harris_perception.core.edges import edge_kernels as kernels
 from harris_perception.core.edges import edge_tracing as tracing
 from harris_perception.core.edges.edge_sides import SHRUNK, Sides, structure
