@@ -22,7 +22,8 @@ from harris_perception.core.hand_eye.hand_eye import HandEyeConfig
 from harris_perception.core.hand_eye_procedure.calibration_plan import RunConfig
 from harris_perception.core.hand_eye_procedure.calibration_run import Action, CalibrationRun, Failed, Finished, SendGoal
 from harris_perception.core.hand_eye_procedure.still_watch import StillConfig
-from harris_perception.core.recognition.recognition import PanelRecogniser, Sighting
+from harris_perception.core.recognition.recognition import PanelRecogniser
+from harris_perception.core.recognition.sighting import Sighting
 from harris_perception.core.stylus.stylus import StylusConfig, StylusTracker
 from icu_common.core.geometry.camera_model import CameraModel, StereoModel
 from icu_common.core.geometry.geometry import Array, Transform

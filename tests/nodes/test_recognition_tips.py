@@ -11,7 +11,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PointStamped
 from nodes.test_recognition_node import PERIOD, START, Rig
 from std_msgs.msg import Header
-from unit.harris_perception.recognition.test_panel_state import AWAY, LAYOUT, Scene
+from unit.harris_perception.recognition.test_panel_reader import AWAY, LAYOUT, Scene
 
 from icu_common.core.geometry.frames import CAMERA_LEFT
 from icu_common.core.panel.panel_state import ControlSeen

@@ -25,8 +25,10 @@ from harris_perception.core.pose.face_depth import FaceDepth, height_above_face_
 from harris_perception.core.pose.fiducials import MarkerFinder, SeenMarker
 from harris_perception.core.pose.planar_pose import FACE_POINT_COLUMNS, with_plane
 from harris_perception.core.pose.pose_agreement import PoseAgreement
-from harris_perception.core.recognition.panel_state import PanelReader, StateConfig
-from harris_perception.core.recognition.recognition import PanelRecogniser, RecognitionConfig, Sighting
+from harris_perception.core.recognition.panel_reader import PanelReader
+from harris_perception.core.recognition.recognition import PanelRecogniser, RecognitionConfig
+from harris_perception.core.recognition.sighting import Sighting
+from harris_perception.core.recognition.state_config import StateConfig
 from harris_perception.core.recognition.still_panel import StillPanel
 from harris_perception.core.stylus.tip_record import TipRecord
 from harris_perception.nodes.panel_teacher import PanelTeacher
