@@ -35,7 +35,7 @@ ONLY_ELSEWHERE = {
             "dense_stereo_node",
             "stylus_node",
         ),
-        *("recognition_node", "geometry", "stroke_font", "real_time", "compiled"),
+        *("recognition_node", "recognition_config", "geometry", "stroke_font", "real_time", "compiled"),
         *("harris", "edges", "edge_kernels", "harris_kernels", "harris_laplace", "edge_tracing", "deriche", "matching"),
         *("stereo_matching", "stylus", "ball_view", "ball_fit", "plane_fit", "planar_pose", "reprojection"),
         *("rectifier", "value_range"),
