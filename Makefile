@@ -74,7 +74,7 @@ matrix: ## seeded faults of each program in each phase, on the whole graph in re
 NOISE_MINUTES ?= 10
 noise: ## presses on the whole graph for NOISE_MINUTES=10 while one byte in 500 is damaged on the wire
 	@scripts/setup.sh dev
-	@NOISE_MINUTES=$(NOISE_MINUTES) $(VENV)/python -m pytest -s tests/system/test_noise_on_the_wire.py
+	@NOISE_MINUTES=$(NOISE_MINUTES) $(VENV)/python -m pytest -s tests/system/graph/test_noise_on_the_wire.py
 
 SOAK_MINUTES ?= 30
 soak: ## the whole graph at full rate for SOAK_MINUTES=30: memory, files, threads and delay must stay flat
@@ -98,7 +98,7 @@ docs: ## API documentation in artifacts/api; a warning is an error
 
 story: ## a new user's whole way at the page on the whole graph; pictures in artifacts/story
 	@scripts/setup.sh dev
-	@$(VENV)/python -m pytest -s tests/system/test_a_whole_story.py
+	@$(VENV)/python -m pytest -s tests/system/page/test_a_whole_story.py
 
 picture: story ## make the README's picture of the operator page anew
 	@cp artifacts/story/06_moving.png docs/operator_page.png

@@ -28,7 +28,7 @@ class Shares(LoadFileScheduling):
 
     def _split_scope(self, nodeid: str) -> str:
         file = super()._split_scope(nodeid)
-        if file.startswith("tests/system/test_operator_"):
+        if file.startswith("tests/system/page/test_operator_"):
             return "browser"
         return nodeid if file.startswith("tests/unit/robot/test_every_panel") else file
 

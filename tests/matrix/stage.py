@@ -105,7 +105,7 @@ class Stage:
         parent, found = self.graph.process.pid, {}
         for child in Path(f"/proc/{parent}/task/{parent}/children").read_text().split():
             with contextlib.suppress(OSError):
-                line = Path(f"/proc/{child}/cmdline").read_text().replace("\0", " ")
+                line = Path(f"/proc/{child}/cmdline").read_text(errors="replace").replace("\0", " ")
                 name = re.search(r"__node:=(\S+)", line)
                 found[name[1] if name else BOARD if BOARD in line else line] = int(child)
         for guard in guards_of(self.graph.run_dir / "grbl"):

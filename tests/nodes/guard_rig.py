@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any
 
 import yaml
+from nodes.driver_operator import HOMED, NO_PANEL, PATIENCE, Operator
 from nodes.grbl_board import GrblBoard
-from nodes.test_gantry_driver_node import HOMED, NO_PANEL, PATIENCE, Operator
 
 from gantry_driver.adapters.guard.places import guard_path
 
@@ -28,7 +28,7 @@ def guards_of(port: Path) -> list[int]:
     wanted, found = {str(guard_path(str(port))), str(port)}, []
     for process in Path("/proc").glob("[0-9]*"):
         try:
-            words = (process / "cmdline").read_bytes().decode().split("\0")
+            words = (process / "cmdline").read_bytes().decode(errors="replace").split("\0")
             waits = "--recover" in words and not _has_open(process, port)
         except OSError:
             continue
@@ -46,7 +46,7 @@ def children(parent: int, word: str) -> list[int]:
     found = []
     for child in Path(f"/proc/{parent}/task/{parent}/children").read_text().split():
         try:
-            line = Path(f"/proc/{child}/cmdline").read_bytes().decode()
+            line = Path(f"/proc/{child}/cmdline").read_bytes().decode(errors="replace")
         except OSError:
             continue
         if word in line:

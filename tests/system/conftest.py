@@ -136,7 +136,7 @@ class RunningGraph:
         for status in Path("/proc").glob("[0-9]*/status"):
             with contextlib.suppress(OSError):
                 parent = re.search(r"^PPid:\t(\d+)", status.read_text(), re.MULTILINE)
-                command = (status.parent / "cmdline").read_bytes().decode().split("\0")
+                command = (status.parent / "cmdline").read_bytes().decode(errors="replace").split("\0")
                 if parent and int(parent[1]) == self.process.pid and any(Path(c).name == program for c in command):
                     return int(status.parent.name)
         pytest.fail(f"{program} does not run; {self.tail()}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 from pinhole import pinhole
 
@@ -60,3 +61,9 @@ def measured_face(
     across = np.column_stack([np.cos(angle), np.sin(angle)])
     pixels = PAIR.left.project(pose.apply(np.column_stack([places, np.zeros(count)])))
     return FacePoints(in_face=places, pixels=pixels + rng.normal(0, sigma_px, (count, 1)) * across, across=across)
+
+
+AXES = np.array([[1.003, -0.002], [0.0, 0.998]])
+POSE = Transform(
+    np.asarray(cv2.Rodrigues(np.array([2.71, 0.05, -0.08]))[0], dtype=float), np.array([-0.17, 0.09, 0.66])
+)

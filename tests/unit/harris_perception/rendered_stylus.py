@@ -143,3 +143,14 @@ def render(
         picture = cv2.GaussianBlur(picture, (0, 0), look.blur_px) + rng.normal(0, look.noise, picture.shape)
         pictures.append(np.clip(np.round(picture), 0, 255).astype(np.uint8))
     return pictures
+
+
+STEREO = stereo_model()
+TIP = np.array([0.03, -0.02, 0.66])
+MAGENTA = (190, 25, 225)
+
+
+def draw(pictures: list[np.ndarray[Any, Any]], tip: Any, paint: Any) -> None:
+    """Paint something at the projection of ``tip`` in both pictures."""
+    for picture, at in zip(pictures, (STEREO.left.project(tip)[0], STEREO.project_right(tip)[0])):
+        paint(picture, tuple(round(float(v) * 16) for v in at))

@@ -6,7 +6,7 @@ import os
 import re
 from pathlib import Path
 
-from unit.scope_bench.test_graph_matches_code import config_class, programs
+from unit.scope_bench.graph_programs import config_class, programs
 
 from icu_common.core.configuration.config import GRAPH_TIME, WALL_TIME, settings_of
 

@@ -1,4 +1,7 @@
-"""Sub-packages: each has a map of its modules, few enough to read, and the operator page's meet by public names."""
+"""Sub-packages: each has a map of its modules, few enough to read, and the operator page's meet by public names.
+
+The folders of tests are small enough to read, too, and no test module imports from another one.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +11,7 @@ from pathlib import Path
 import pytest
 
 SRC = Path(__file__).parents[3] / "src"
+TESTS = Path(__file__).parents[2]
 CORES = [SRC / package / package / "core" for package in ("harris_perception", "scope_ui_bridge")]
 BRIDGE = SRC / "scope_ui_bridge" / "scope_ui_bridge"
 ROOMS = sorted(path.parent for folder in [*CORES, BRIDGE / "adapters"] for path in folder.glob("*/__init__.py"))
@@ -68,3 +72,26 @@ def test_rooms_of_the_operator_page_are_imported_by_their_public_names() -> None
         and (module.startswith(f"{room}.") or (module == room and set(names) & modules_of(folder)))
     ]
     assert past_the_door == []
+
+
+def test_no_folder_of_tests_has_more_files_than_can_be_read() -> None:
+    modules = sorted(TESTS.rglob("*.py"))
+    assert modules
+    for folder in {path.parent for path in modules}:
+        found = [path for path in folder.iterdir() if path.is_file()]
+        assert len(found) <= MAX_MODULES, f"{folder}: {len(found)} files"
+
+
+def test_no_test_module_imports_from_another() -> None:
+    """What several tests share is in a module of its own, which can be read and moved without those tests."""
+    imported = [
+        (path, name)
+        for path in sorted(TESTS.rglob("*.py"))
+        for node in ast.walk(ast.parse(path.read_text()))
+        if isinstance(node, (ast.Import, ast.ImportFrom))
+        for name in [getattr(node, "module", None) or "", *(alias.name for alias in node.names)]
+    ]
+    assert imported
+    test_modules = {path.stem for path in TESTS.rglob("test_*.py")}
+    found = [f"{path.relative_to(TESTS)}: {name}" for path, name in imported if name.rpartition(".")[2] in test_modules]
+    assert found == []

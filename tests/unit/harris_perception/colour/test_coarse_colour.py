@@ -8,8 +8,7 @@ import cv2
 import numpy as np
 import pytest
 from camera_chain import CHAINS
-from unit.harris_perception.rendered_stylus import Look, render, stereo_model
-from unit.harris_perception.stylus.test_stylus import MAGENTA, TIP, draw
+from unit.harris_perception.rendered_stylus import MAGENTA, TIP, Look, draw, render, stereo_model
 
 from harris_perception.colour.blurred_disc import profiles
 from harris_perception.colour.coarse import coarse_colour

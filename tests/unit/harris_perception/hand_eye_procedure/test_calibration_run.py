@@ -9,6 +9,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from unit.harris_perception.rectified_pair import AXES, POSE
 from unit.harris_perception.rectified_pair import PAIR as CAMERAS
 
 from harris_perception.core.hand_eye.carriage_camera import PanelSample
@@ -34,10 +35,6 @@ def run_config(**changes: Any) -> RunConfig:
     return RunConfig(**{"places": 6, **changes})
 
 
-AXES = np.array([[1.003, -0.002], [0.0, 0.998]])
-POSE = Transform(
-    np.asarray(cv2.Rodrigues(np.array([2.71, 0.05, -0.08]))[0], dtype=float), np.array([-0.17, 0.09, 0.66])
-)
 MS = 1_000_000
 
 

@@ -10,8 +10,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from unit.harris_perception.hand_eye_procedure.test_calibration_run import AXES, POSE
-from unit.harris_perception.rectified_pair import camera, stored_calibration
+from unit.harris_perception.rectified_pair import AXES, POSE, camera, stored_calibration
 
 from harris_perception.core.hand_eye.calibration_file import StoredCalibration
 from harris_perception.core.hand_eye.carriage_camera import Contact

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from unit.harris_perception.hand_eye_procedure.test_calibration_run import POSE
+from unit.harris_perception.rectified_pair import POSE
 
 from harris_perception.core.pose.face_depth import LEAST_POINTS, LOOKS, FaceDepth, height_above_face_m
 from icu_common.core.geometry.geometry import Array

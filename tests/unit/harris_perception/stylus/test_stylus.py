@@ -11,14 +11,10 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from unit.harris_perception.rendered_stylus import Look, render, stereo_model
+from unit.harris_perception.rendered_stylus import MAGENTA, STEREO, TIP, Look, draw, render, stereo_model
 
 from harris_perception.core.stylus.stylus import StylusConfig, StylusTracker
 from icu_common.core.configuration.config import ConfigError
-
-STEREO = stereo_model()
-TIP = np.array([0.03, -0.02, 0.66])
-MAGENTA = (190, 25, 225)
 
 
 def tracker(**settings: Any) -> StylusTracker:
@@ -27,12 +23,6 @@ def tracker(**settings: Any) -> StylusTracker:
 
 def pair(tip: Any = TIP, look: Look | None = None, seed: int = 3) -> list[np.ndarray[Any, Any]]:
     return render(STEREO, np.asarray(tip), np.random.default_rng(seed), look)
-
-
-def draw(pictures: list[np.ndarray[Any, Any]], tip: Any, paint: Any) -> None:
-    """Paint something at the projection of ``tip`` in both pictures."""
-    for picture, at in zip(pictures, (STEREO.left.project(tip)[0], STEREO.project_right(tip)[0])):
-        paint(picture, tuple(round(float(v) * 16) for v in at))
 
 
 def errors_mm(
