@@ -157,7 +157,8 @@ compile() {
 dense_stereo.warm()
 stereo_matching.warm()" &
   local stereo=$!
-  PYTHONPATH=$path "$venv/bin/python" -c "from harris_perception.core.edges.edges import CombinedDetector, EdgeDetector
+  PYTHONPATH=$path "$venv/bin/python" -c "from harris_perception.core.edges.combined_detector import CombinedDetector
+from harris_perception.core.edges.edges import EdgeDetector
 from harris_perception.core.corners.harris import HarrisConfig
 for config in (HarrisConfig(), HarrisConfig(gradient='gaussian', window='gaussian')):
     CombinedDetector(config).warm()

@@ -44,8 +44,9 @@ from harris_perception.core.hand_eye_procedure.calibration_run import Calibratio
 from harris_perception.core.hand_eye_procedure.calibration_solution import Failed, Finished
 from harris_perception.core.hand_eye_procedure.still_watch import StillConfig
 from harris_perception.core.pose.pose_agreement import PoseAgreement
-from harris_perception.core.recognition.panel_state import PanelReader, StateConfig
+from harris_perception.core.recognition.panel_reader import PanelReader
 from harris_perception.core.recognition.recognition import PanelRecogniser, RecognitionConfig
+from harris_perception.core.recognition.state_config import StateConfig
 from harris_perception.core.stylus.stylus import StylusTracker
 from harris_perception.core.stylus.stylus_config import StylusConfig
 from harris_perception.core.stylus.tip_record import TipRecord

@@ -21,7 +21,8 @@ import numpy as np
 
 from harris_perception.adapters.boundary_files import drawn_pictures, read_drawn
 from harris_perception.core.corners.harris import HarrisDetector
-from harris_perception.core.edges.edges import EDGE, CombinedDetector, EdgeConfig, EdgeDetector
+from harris_perception.core.edges.combined_detector import CombinedDetector
+from harris_perception.core.edges.edges import EDGE, EdgeConfig, EdgeDetector
 from harris_perception.core.evaluation.boundary_evaluation import Finder, counts_of, ods_ois, our_finders, peer_finders
 from icu_common.adapters.memory import keep_large_blocks
 

@@ -19,7 +19,8 @@ from typing import Any
 import cv2
 import numpy as np
 
-from harris_perception.core.corners.harris import HarrisConfig, HarrisDetector, gaussian_derivative_taps, gaussian_taps
+from harris_perception.core.corners.harris import HarrisConfig, HarrisDetector
+from harris_perception.core.corners.taps import gaussian_derivative_taps, gaussian_taps
 from harris_perception.core.image.deriche import filtered, recursive_filter
 from icu_common.adapters.memory import keep_large_blocks
 

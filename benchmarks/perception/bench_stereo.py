@@ -21,7 +21,8 @@ from harris_perception.adapters.stereo_folders import scenes
 from harris_perception.core.corners.harris import HarrisConfig, HarrisDetector
 from harris_perception.core.evaluation.stereo_evaluation import ALL_CORNERS, dense_methods, evaluate
 from harris_perception.core.stereo.dense_stereo import DELTA_PX, DenseConfig, DenseStereo, SemiGlobalConfig
-from harris_perception.core.stereo.stereo_matching import MatchConfig, Rectifier, disparity_range, match_corners
+from harris_perception.core.stereo.rectifier import Rectifier
+from harris_perception.core.stereo.stereo_matching import StereoMatchConfig, disparity_range, match_corners
 from icu_common.adapters.memory import keep_large_blocks
 from icu_common.core.geometry.camera_model import CameraModel, StereoModel
 from icu_common.nodes.messages.cameras import disparity_message
@@ -77,7 +78,7 @@ def errors() -> list[Row]:
 def on_the_panel() -> list[Row]:
     """Match the bench's images as the node does; the true surface of the face's print is a plane."""
     studio = Studio(BenchConfig())
-    stereo, config = studio.stereo, MatchConfig()
+    stereo, config = studio.stereo, StereoMatchConfig()
     rng, detector = np.random.default_rng(1), HarrisDetector(HarrisConfig(max_corners=2000))
     rectified, corners = [], []
     moment = Moment(tip=OUT_OF_SIGHT, state=InstrumentState(), now_s=1.0)

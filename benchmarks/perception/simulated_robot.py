@@ -23,7 +23,8 @@ from harris_perception.core.hand_eye_procedure.calibration_plan import RunConfig
 from harris_perception.core.hand_eye_procedure.calibration_run import Action, CalibrationRun, SendGoal
 from harris_perception.core.hand_eye_procedure.calibration_solution import Failed, Finished
 from harris_perception.core.hand_eye_procedure.still_watch import StillConfig
-from harris_perception.core.recognition.recognition import PanelRecogniser, Sighting
+from harris_perception.core.recognition.recognition import PanelRecogniser
+from harris_perception.core.recognition.sighting import Sighting
 from harris_perception.core.stylus.stylus import StylusTracker
 from harris_perception.core.stylus.stylus_config import StylusConfig
 from icu_common.core.geometry.camera_model import CameraModel, StereoModel

@@ -15,7 +15,7 @@ from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 from unit.harris_perception.rendered_stylus import stereo_model
 
 from harris_perception.core.corners.harris import HarrisConfig, HarrisDetector
-from harris_perception.core.stereo.stereo_matching import MatchConfig
+from harris_perception.core.stereo.stereo_matching import StereoMatchConfig
 from harris_perception.nodes.stereo_node import Matcher, StereoConfig, StereoNode
 from icu_common.core.geometry.camera_model import StereoModel
 from icu_common.nodes import qos
@@ -66,7 +66,7 @@ def test_points_are_those_of_the_whole_left_picture_whatever_the_right_sensor(fi
     pictures = panel_pictures(stereo=stereo)
     images = [image_message(picture, "mono8", header(1, "")) for picture in pictures]
     clouds = [cloud_message(("u", "v"), detector.detect(picture).xy, header(1, "")) for picture in pictures]
-    config = StereoConfig(matching=MatchConfig(min_depth_m=0.5, max_depth_m=0.8))
+    config = StereoConfig(matching=StereoMatchConfig(min_depth_m=0.5, max_depth_m=0.8))
     points = Matcher(stereo, config).points((images[0], images[1]), (clouds[0], clouds[1]))
     rows = STEREO.left.project(points[:, :3])[:, 1]
     print(f"{finer} times as fine: {len(points)} points, {(rows > 400).sum()} of them in the lowest sixth")

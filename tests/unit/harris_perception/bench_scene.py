@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from harris_perception.core.recognition.face_patches import Patches
-from harris_perception.core.recognition.panel_state import PanelReader
+from harris_perception.core.recognition.panel_reader import PanelReader
 from icu_common.core.geometry.camera_model import CameraModel
 from icu_common.core.geometry.geometry import Transform
 from icu_common.core.panel.panel_layout import PanelLayout, load_layout

@@ -17,7 +17,8 @@ from harris_perception.core.corners.harris import Corners, HarrisConfig, HarrisD
 from harris_perception.core.corners.harris_laplace import HarrisLaplaceConfig, HarrisLaplaceDetector, ScaledCorners
 from harris_perception.core.corners.matching import MatchConfig, describe_over_scales, match
 from harris_perception.core.corners.repeatable import RepeatableConfig, RepeatableDetector
-from harris_perception.core.edges.edges import EDGE, CombinedDetector, EdgeConfig, EdgeDetector, Edges, TracingConfig
+from harris_perception.core.edges.combined_detector import CombinedDetector
+from harris_perception.core.edges.edges import EDGE, EdgeConfig, EdgeDetector, Edges, TracingConfig
 from harris_perception.core.evaluation.repeatability import EPSILONS_PX, mapped
 from harris_perception.core.image.gray import bgr_of_gray
 from harris_perception.core.image.overlay import draw_corners, matches_picture

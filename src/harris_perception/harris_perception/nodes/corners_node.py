@@ -20,13 +20,8 @@ from harris_perception.core.corners.harris_laplace import (
 )
 from harris_perception.core.corners.repeatable import RepeatableConfig, RepeatableDetector
 from harris_perception.core.edges import edge_lines
-from harris_perception.core.edges.edges import (
-    CombinedDetector,
-    EdgeConfig,
-    EdgeDetector,
-    Edges,
-    TracingConfig,
-)
+from harris_perception.core.edges.combined_detector import CombinedDetector
+from harris_perception.core.edges.edges import EdgeConfig, EdgeDetector, Edges, TracingConfig
 from harris_perception.core.image.gray import bgr_of, bgr_of_gray, gray_of, grey_level_of, has_color
 from harris_perception.core.image.overlay import draw_corners
 from harris_perception.nodes.compiling import compiling

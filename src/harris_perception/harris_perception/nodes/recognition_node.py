@@ -3,34 +3,33 @@
 from __future__ import annotations
 
 import functools
-import math
 import time
-from collections import OrderedDict, deque
-from dataclasses import dataclass
+from collections import OrderedDict
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import PointStamped, PoseStamped, PoseWithCovarianceStamped
+from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
 from rclpy.subscription import Subscription
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2
-from std_msgs.msg import Float32, Header, String
+from std_msgs.msg import Float32
 from visualization_msgs.msg import MarkerArray
 
 from harris_perception.adapters.panel_files import read_panel
-from harris_perception.core.corners.harris import HarrisConfig, HarrisDetector
-from harris_perception.core.image.gray import GreyLevels, bgr_of, eight_bits, gray_of, has_color
-from harris_perception.core.pose.face_depth import FaceDepth, height_above_face_m
-from harris_perception.core.pose.fiducials import MarkerFinder, SeenMarker
+from harris_perception.core.corners.harris import HarrisDetector
+from harris_perception.core.image.gray import eight_bits, gray_of
+from harris_perception.core.pose.fiducials import MarkerFinder
 from harris_perception.core.pose.planar_pose import FACE_POINT_COLUMNS, with_plane
 from harris_perception.core.pose.pose_agreement import PoseAgreement
-from harris_perception.core.recognition.panel_state import PanelReader, StateConfig
-from harris_perception.core.recognition.recognition import PanelRecogniser, RecognitionConfig, Sighting
+from harris_perception.core.recognition.panel_reader import PanelReader
+from harris_perception.core.recognition.recognition import PanelRecogniser
+from harris_perception.core.recognition.sighting import Sighting
 from harris_perception.core.recognition.still_panel import StillPanel
-from harris_perception.core.stylus.tip_record import TipRecord
+from harris_perception.nodes.control_readings import ControlReadings
 from harris_perception.nodes.panel_teacher import PanelTeacher
-from icu_common.core.configuration.config import Config, ConfigError, nested, setting
+from harris_perception.nodes.pose_alarm import PoseAlarm
+from harris_perception.nodes.recognition_config import RecognitionNodeConfig
+from icu_common.core.configuration.config import ConfigError
 from icu_common.core.geometry.camera_model import CameraModel
 from icu_common.core.geometry.frames import CAMERA_LEFT, PANEL
 from icu_common.core.geometry.geometry import Array, Transform
@@ -43,112 +42,20 @@ from icu_common.nodes.images import ReceivedImage
 from icu_common.nodes.messages.cameras import camera_model, image_array
 from icu_common.nodes.messages.clouds import cloud_array, cloud_message
 from icu_common.nodes.messages.heads import check_frame, header, stamp_ns
-from icu_common.nodes.messages.panels import controls_message, panel_state_message
-from icu_common.nodes.messages.places import covariance_array, point_array, pose_message, transform_of_pose
+from icu_common.nodes.messages.panels import controls_message
+from icu_common.nodes.messages.places import covariance_array, pose_message, transform_of_pose
 from icu_common.nodes.newest import NewestImage
-from icu_common.nodes.on_demand import on_demand_setting
 from icu_common.nodes.parameters import LiveParameters
 from icu_common.nodes.runtime import run
 from icu_common.nodes.timers import every, seconds_of
 
 _KEPT_CORNERS = 8
-_KEPT_UNREAD = 8
-_GIVEN_UP = 10.0
-"""Maximum time that an image waits for a tracker that reports only other images, as a multiple of ``tip_wait_s``."""
 _TICK_S = 0.02
 _TRACKED = 15
 """Number of successive images with the panel after which the node unsubscribes from corners: tracking needs none."""
 _UNCHANGED = 4
 """Maximum number of successive images that count as unchanged: at 5 Hz the panel is measured once a second at rest."""
 _MIRRORED = "the panel is seen in a mirror: switch off what flips this camera's pictures"
-_STEREO_AGE_NS = 3_000_000_000
-"""Maximum difference of stamps between stereo and recognition, which use different images; on a busy computer stereo is
-a second late. The distance of a panel at rest is the same in both."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RecognitionNodeConfig(Config):
-    """Settings of the recognition node."""
-
-    layout: str = setting("", "Layout file of the designated panel", read_only=True)
-    template: str = setting("", "Image of the panel's face, straight on; empty: drawn from the layout", read_only=True)
-    template_px_per_mm: float = setting(
-        4.0, "Scale of the template image", minimum=0.1, maximum=100.0, unit="px/mm", read_only=True
-    )
-    teach_folder: str = setting(
-        "", "Folder for the layouts of panels that are taught by messages; empty: none", read_only=True
-    )
-    rate_hz: float = setting(5.0, "Maximum rate of processed images", minimum=0.1, maximum=60.0, unit="Hz")
-    corners_wait_s: float = setting(
-        0.1, "Maximum time that an image waits for its published corners", minimum=0.0, maximum=2.0, unit="s"
-    )
-    silence_s: float = setting(
-        1.0, "Time without images after which the panel counts as lost", minimum=0.1, maximum=60.0, unit="s"
-    )
-    tip_wait_s: float = setting(
-        1.0,
-        "Time without messages from the stylus tracker after which lamps, knobs and screens are read without "
-        "it; otherwise an image waits until the tracker has processed it",
-        minimum=0.0,
-        maximum=60.0,
-        unit="s",
-    )
-    tip_max_age_s: float = setting(
-        0.3,
-        "Maximum time between an image without a certain tip and the nearest sighting of the tip, before or "
-        "after; beyond it the stylus counts as out of view",
-        minimum=0.0,
-        maximum=5.0,
-        unit="s",
-    )
-    tip_speed_m_s: float = setting(
-        0.2,
-        "Maximum speed of the stylus; the tip may hide lamps within this speed times the time to its nearest sighting",
-        minimum=0.0,
-        maximum=2.0,
-        unit="m/s",
-    )
-    plane_max_age_s: float = setting(
-        0.0,
-        "Maximum time between an image and a stereo plane that improves its pose; 0: none does, and stereo "
-        "need not run",
-        minimum=0.0,
-        maximum=5.0,
-        unit="s",
-        read_only=True,
-    )
-    marker_bound_mm: float = setting(
-        2.0,
-        "Maximum difference between the panel's poses by its markers and by its print",
-        minimum=0.1,
-        maximum=100.0,
-        unit="mm",
-    )
-    stereo_bound_mm: float = setting(
-        2.0,
-        "Maximum difference in depth between the panel by both cameras and by its print, if stereo runs; 0: "
-        "not compared",
-        minimum=0.0,
-        maximum=100.0,
-        unit="mm",
-        read_only=True,
-    )
-    on_demand: bool = on_demand_setting(
-        "Subscribe to corners only while the panel is searched, and measure it once a second while it looks the same"
-    )
-    recognition: RecognitionConfig = nested(RecognitionConfig)
-    state: StateConfig = nested(StateConfig)
-    harris: HarrisConfig = nested(HarrisConfig)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Unread:
-    """An image in which the panel was found, and whose controls have not been read yet; waiting since ``since_s``."""
-
-    message: ReceivedImage
-    sighting: Sighting
-    pose: Transform
-    since_s: float
 
 
 class RecognitionNode(GraphNode):
@@ -169,32 +76,20 @@ class RecognitionNode(GraphNode):
         self._corners_in: Subscription | None = None
         self._busy_s, self._seen, self._refusal = 0.0, (0, 0, 0), ""
         self._sighting: Sighting | None = None
-        self._levels = GreyLevels()
-        self._tips, self._tracker_s = TipRecord(), -math.inf
-        self._unread: deque[_Unread] = deque()
         self._plane: tuple[int, Transform, Array] | None = None
         self._improved = 0
-        self._alarm, self._confirmed = "", not self._layout.markers
-        self._marker_alarm = ""
-        self._depth = FaceDepth(self._live.config.stereo_bound_mm)
-        self._stereo_points: Subscription | None = None
-        self._alarm_out = self.create_publisher(String, "alarm", qos.LATCHED)
-        self._alarm_out.publish(String(data=""))
+        self._alarm = PoseAlarm(self, self._layout, self._live.config.stereo_bound_mm, self._last_seen)
         self._pose = self.create_publisher(PoseStamped, "pose", qos.LATCHED)
         self._controls = self.create_publisher(MarkerArray, "controls", qos.LATCHED)
-        self._state = self.create_publisher(DiagnosticArray, "state", qos.RESULTS)
         self._points = self.create_publisher(PointCloud2, "points", qos.RESULTS)
         self._confidence_out = self.create_publisher(Float32, "confidence", qos.RESULTS)
         self._diagnostics = Diagnostics(self)
         self._controls.publish(controls_message(self._layout, header(self.get_clock().now().nanoseconds, PANEL)))
         self._infos = CameraInfoSubscription(self, "camera_info", qos.SENSOR, self._on_camera)
         self._follow_corners()
-        # Both topics report on single images: where the tip is, or that it is not certain.
-        self.create_subscription(PointStamped, "tip", self._on_tip, qos.PICTURES)
-        self.create_subscription(Header, "unseen", self._on_unseen, qos.PICTURES)
+        self._readings = ControlReadings(self, lambda: self._reader, lambda: self._camera, lambda: self._live.config)
         if self._live.config.plane_max_age_s > 0:
             self.create_subscription(PoseWithCovarianceStamped, "plane", self._on_plane, qos.SENSOR)
-        self._compare_depth()
         self._images = NewestImage(self, "image_raw", self._on_image)
         every(self, _TICK_S, self._on_tick)
         every(self, 1.0, self._report)
@@ -224,10 +119,10 @@ class RecognitionNode(GraphNode):
         # With another camera's calibration the panel would have another pose.
         self._still.forget()
         self._camera = self._waiting = None
-        self._unread.clear()
+        self._readings.forget()
         try:
             self._camera = camera_model(message, "left")
-            self._compare_depth()
+            self._alarm.compare_depth()
         except ValueError as error:
             self._infos.again()
             self.get_logger().error(f"camera_info: {error}", throttle_duration_sec=5.0)
@@ -259,26 +154,10 @@ class RecognitionNode(GraphNode):
             self.get_logger().warning("waiting for camera_info", throttle_duration_sec=5.0)
         elif not early and self._waiting is None:
             if stamp < self._last_stamp:
-                self._unread.clear()
+                self._readings.forget()
             self._last_stamp = stamp
             self._waiting = (message, self._seconds() + self._live.config.corners_wait_s)
             self._try_waiting()
-
-    def _on_tip(self, message: PointStamped) -> None:
-        try:
-            check_frame(message.header, CAMERA_LEFT)
-        except ValueError as error:
-            self.get_logger().error(f"tip: {error}", throttle_duration_sec=5.0)
-            return
-        self._take_tip(message.header, point_array(message))
-
-    def _on_unseen(self, message: Header) -> None:
-        self._take_tip(message, None)
-
-    def _take_tip(self, head: Header, tip: Array | None) -> None:
-        self._tips.add(stamp_ns(head.stamp), tip)
-        self._tracker_s = self._seconds()
-        self._read_unread()
 
     def _on_plane(self, message: PoseWithCovarianceStamped) -> None:
         try:
@@ -288,23 +167,8 @@ class RecognitionNode(GraphNode):
         except ValueError as error:
             self.get_logger().error(f"plane: {error}", throttle_duration_sec=5.0)
 
-    def _compare_depth(self) -> None:
-        """Measure the panel's distance by stereo until it has been found to agree with the print."""
-        self._depth.start_anew()
-        if self._live.config.stereo_bound_mm > 0 and self._stereo_points is None:
-            self._stereo_points = self.create_subscription(PointCloud2, "stereo_points", self._on_stereo, qos.SENSOR)
-
-    def _on_stereo(self, message: PointCloud2) -> None:
-        if self._sighting is None or abs(stamp_ns(message.header.stamp) - self._last_stamp) > _STEREO_AGE_NS:
-            return
-        try:
-            check_frame(message.header, CAMERA_LEFT)
-            points = cloud_array(message, ("x", "y", "z")).astype(np.float64)
-        except ValueError as error:
-            self.get_logger().error(f"stereo_points: {error}", throttle_duration_sec=5.0)
-            return
-        self._depth.add(height_above_face_m(points, self._sighting.camera_from_panel, self._layout.size_mm))
-        self._raise()
+    def _last_seen(self) -> tuple[Transform, int] | None:
+        return None if self._sighting is None else (self._sighting.camera_from_panel, self._last_stamp)
 
     def _with_plane(self, sighting: Sighting, stamp: int) -> Transform:
         """Return the sighting's pose, improved by the stereo plane if there is one near enough in time."""
@@ -317,7 +181,7 @@ class RecognitionNode(GraphNode):
 
     def _on_tick(self) -> None:
         self._try_waiting()
-        self._read_unread()
+        self._readings.read()
         if self._confidence > 0 and self._seconds() - self._last_seen_s > self._live.config.silence_s:
             self.get_logger().warning("no pictures: the panel counts as lost")
             self._recogniser.forget()
@@ -349,26 +213,25 @@ class RecognitionNode(GraphNode):
             self.get_logger().error(_MIRRORED, throttle_duration_sec=30.0)
         pose = known
         if known is None:
-            agreeing = sighting if not self._alarm else None
+            agreeing = sighting if not self._alarm.text else None
             stamp = stamp_ns(message.header.stamp)
             pose = self._agreement.add(None if agreeing is None else self._with_plane(agreeing, stamp))
         self._publish(sighting, pose, message)
-        # If the tracker is far behind, fewer images are read: read without their own tips they would give wrong states.
-        if sighting is not None and pose is not None and len(self._unread) < _KEPT_UNREAD:
-            self._unread.append(_Unread(message=message, sighting=sighting, pose=pose, since_s=self._seconds()))
+        if sighting is not None and pose is not None:
+            self._readings.add(message, sighting, pose)
         self._frames += 1
         self._found += sighting is not None
         self._tracked = self._tracked + 1 if sighting is not None else 0
         self._follow_corners()
         self._busy_s += time.perf_counter() - start
-        self._read_unread()
+        self._readings.read()
 
     def _pose_if_unchanged(self, gray: npt.NDArray[np.uint8]) -> Transform | None:
         """Return the accepted pose if it has settled and the panel looks the same as when it was last measured.
 
         With subscribers to the measured points, each image is measured.
         """
-        if not self._live.config.on_demand or self._alarm or self._points.get_subscription_count():
+        if not self._live.config.on_demand or self._alarm.text or self._points.get_subscription_count():
             return None
         settled = self._agreement.settled
         return settled if settled is not None and self._still.unchanged(gray) else None
@@ -382,8 +245,11 @@ class RecognitionNode(GraphNode):
         xy = functools.partial(self._detected, gray) if corners is None else corners
         self._with_corners += corners is not None
         sighting = self._recogniser.locate(gray, xy, camera, self._markers.poses(markers, camera))
-        self._compare(markers, sighting)
         if sighting is not None:
+            bound_mm = self._live.config.marker_bound_mm
+            self._alarm.compare_markers(
+                self._markers.disagreement(markers, sighting.camera_from_panel, camera, bound_mm)
+            )
             self._still.measured(gray, sighting.camera_from_panel, camera)
         return sighting
 
@@ -391,34 +257,6 @@ class RecognitionNode(GraphNode):
         """Detect the corners of an image that is searched and whose published corners have not arrived."""
         self._own_corners += 1
         return self._detector.detect(gray).xy
-
-    def _compare(self, markers: list[SeenMarker], sighting: Sighting | None) -> None:
-        """Raise the alarm when the markers contradict the print; only markers that confirm the print clear it.
-
-        Before the first confirmation the print alone cannot distinguish the panel from one with other labels.
-        """
-        if sighting is None:
-            return
-        assert self._camera is not None
-        pose, bound_mm = sighting.camera_from_panel, self._live.config.marker_bound_mm
-        text = self._markers.disagreement(markers, pose, self._camera, bound_mm)
-        if text is None and not (self._confirmed or self._marker_alarm):
-            text = "none of the panel's markers has been seen yet"
-        if text is None:
-            return
-        self._confirmed = self._confirmed or not text
-        self._marker_alarm = text
-        self._raise()
-
-    def _raise(self) -> None:
-        """Publish the reason that forbids every motion, if it has changed."""
-        text = "; ".join(part for part in (self._marker_alarm, self._depth.text) if part)
-        if text == self._alarm:
-            return
-        if text:
-            self.get_logger().error(text, throttle_duration_sec=5.0)
-        self._alarm = text
-        self._alarm_out.publish(String(data=text))
 
     def _publish(self, sighting: Sighting | None, pose: Transform | None, message: ReceivedImage | None) -> None:
         self._sighting = sighting
@@ -431,49 +269,13 @@ class RecognitionNode(GraphNode):
                 self._points.publish(cloud_message(FACE_POINT_COLUMNS, sighting.points.rows, message.header))
         self._confidence_out.publish(Float32(data=self._confidence))
 
-    def _read_unread(self) -> None:
-        """Read the images that the stylus tracker has processed, in order: screens are compared with earlier images.
-
-        The node waits for a tracker that is late, but not for one that sends no messages.
-        """
-        while self._unread:
-            first, now_s = self._unread[0], self._seconds()
-            silent = now_s - self._tracker_s >= self._live.config.tip_wait_s
-            if silent or self._tips.is_complete(stamp_ns(first.message.header.stamp)):
-                self._read(self._unread.popleft())
-            elif now_s - first.since_s > _GIVEN_UP * self._live.config.tip_wait_s:
-                self._unread.popleft()  # the tracker has skipped this image
-            else:
-                return
-
-    def _read(self, unread: _Unread) -> None:
-        assert self._camera is not None
-        start = time.perf_counter()
-        message = unread.message
-        stamp = stamp_ns(message.header.stamp)
-        tip, age_ns = self._tips.at(stamp, 1e9 * self._live.config.tip_max_age_s)
-        seen = self._reader.read(
-            bgr_of(image_array(message), message.encoding, self._levels),
-            unread.pose,
-            self._camera,
-            stamp,
-            patches=unread.sighting.patches,
-            tip=tip,
-            wander_m=age_ns * 1e-9 * self._live.config.tip_speed_m_s,
-            coloured=has_color(message.encoding),
-        )
-        self._state.publish(panel_state_message(seen, message.header))
-        self._busy_s += time.perf_counter() - start
-
     def _report(self) -> None:
-        if self._depth.text == "" and self._stereo_points is not None:
-            # Matching takes time that other nodes need; a camera that moves later shows in the tip.
-            self.destroy_subscription(self._stereo_points)
-            self._stereo_points = None
+        self._alarm.end_agreed()
         frames, found = self._frames - self._seen[0], self._found - self._seen[1]
         own = self._own_corners - self._seen[2]
         self._seen = (self._frames, self._found, self._own_corners)
         text = "recognised" if self._confidence > 0 else "not recognised"
+        busy_s = self._busy_s + self._readings.busy_s
         unaided = frames > 0 and own == frames
         if self._refusal:
             text += f": {self._refusal}"
@@ -486,10 +288,10 @@ class RecognitionNode(GraphNode):
             ("frames", self._frames),
             ("frames_with_published_corners", self._with_corners),
             ("poses_improved_by_stereo", self._improved),
-            ("ms_per_frame", f"{1e3 * self._busy_s / frames:.1f}" if frames else "-"),
+            ("ms_per_frame", f"{1e3 * busy_s / frames:.1f}" if frames else "-"),
             ("found_in_last_second", f"{found}/{frames}"),
         ]
-        self._busy_s = 0.0
+        self._busy_s = self._readings.busy_s = 0.0
         if self._sighting is not None:
             s = self._sighting
             values += [
@@ -498,8 +300,8 @@ class RecognitionNode(GraphNode):
                 ("rms_px", f"{s.rms_px:.3f}"),
             ]
         level = "ok" if self._confidence > 0 and not unaided else "warn"
-        if self._alarm:
-            level, text = "error", self._alarm
+        if self._alarm.text:
+            level, text = "error", self._alarm.text
         self._diagnostics.tell(level, text, values)
 
 

@@ -13,16 +13,11 @@ from rclpy.subscription import Subscription
 from sensor_msgs.msg import PointCloud2
 
 from harris_perception.core.image.gray import eight_bits, gray_of
+from harris_perception.core.stereo.matches import triangulated
 from harris_perception.core.stereo.pairing import Pairing
 from harris_perception.core.stereo.plane_fit import PlaneConfig, PlaneFit, fit_plane
-from harris_perception.core.stereo.stereo_matching import (
-    MatchConfig,
-    Rectifier,
-    disparity_range,
-    match_corners,
-    triangulated,
-    warm,
-)
+from harris_perception.core.stereo.rectifier import Rectifier
+from harris_perception.core.stereo.stereo_matching import StereoMatchConfig, disparity_range, match_corners, warm
 from harris_perception.nodes.compiling import compiling
 from harris_perception.nodes.stereo_calibration import SIDES, StereoCalibration
 from icu_common.core.configuration.config import Config, nested, setting
@@ -54,7 +49,7 @@ class StereoConfig(Config):
     pair_tolerance_s: float = setting(
         0.004, "Maximum difference between the left and right stamps of a pair", minimum=0.0, maximum=0.1, unit="s"
     )
-    matching: MatchConfig = nested(MatchConfig)
+    matching: StereoMatchConfig = nested(StereoMatchConfig)
     plane: PlaneConfig = nested(PlaneConfig)
     on_demand: bool = on_demand_setting()
 

@@ -610,14 +610,17 @@ from harris_perception.core.image import deriche
 from harris_perception.core.image import diffusion
 from harris_perception.core.edges import edge_kernels
 from harris_perception.core.edges import edge_tracing
-from harris_perception.core.corners import harris_kernels
-from harris_perception.core.corners import structure
-from harris_perception.core.edges.edges import CombinedDetector, EdgeDetector
+from harris_perception.core.corners import harris_kernels, peak_kernels, ranking, response_kernels, spacing, structure
+from harris_perception.core.edges.combined_detector import CombinedDetector
+from harris_perception.core.edges.edges import EdgeDetector
 from harris_perception.core.corners.harris import HarrisConfig, HarrisDetector
 from harris_perception.core.corners.repeatable import RepeatableDetector
 
 def compiled():
-    modules = (deriche, diffusion, edge_kernels, edge_tracing, harris_kernels, structure)
+    modules = (
+        *(deriche, diffusion, edge_kernels, edge_tracing),
+        *(harris_kernels, peak_kernels, ranking, response_kernels, spacing, structure),
+    )
     return {
         f"{module.__name__}.{name}": len(value.signatures)
         for module in modules for name, value in vars(module).items() if isinstance(value, CPUDispatcher)

@@ -11,12 +11,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from harris_perception.core.corners.harris import HarrisConfig, HarrisDetector, gaussian_taps
+from harris_perception.core.corners.harris import HarrisConfig, HarrisDetector
 from harris_perception.core.corners.harris_laplace import HarrisLaplaceConfig, HarrisLaplaceDetector
 from harris_perception.core.corners.repeatable import RepeatableDetector
+from harris_perception.core.corners.taps import gaussian_taps
 from harris_perception.core.edges import edge_kernels as kernels
 from harris_perception.core.edges import edges as edges_module
-from harris_perception.core.edges.edges import CORNER, EDGE, FLAT, CombinedDetector, EdgeConfig, EdgeDetector
+from harris_perception.core.edges.combined_detector import CombinedDetector
+from harris_perception.core.edges.edges import CORNER, EDGE, FLAT, EdgeConfig, EdgeDetector
 from harris_perception.core.image.noise import noise_above
 
 

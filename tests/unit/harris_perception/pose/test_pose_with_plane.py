@@ -11,14 +11,10 @@ from unit.harris_perception import panel_scene as scene
 from harris_perception.core.corners.harris import HarrisConfig, HarrisDetector
 from harris_perception.core.pose.planar_pose import PoseFit, with_plane
 from harris_perception.core.recognition.recognition import PanelRecogniser
+from harris_perception.core.stereo.matches import triangulated
 from harris_perception.core.stereo.plane_fit import PlaneConfig, PlaneFit, fit_plane
-from harris_perception.core.stereo.stereo_matching import (
-    MatchConfig,
-    Rectifier,
-    disparity_range,
-    match_corners,
-    triangulated,
-)
+from harris_perception.core.stereo.rectifier import Rectifier
+from harris_perception.core.stereo.stereo_matching import StereoMatchConfig, disparity_range, match_corners
 from icu_common.core.geometry.camera_model import StereoModel
 from icu_common.core.geometry.geometry import Array, Transform
 
@@ -91,7 +87,7 @@ def test_another_plane_is_refused() -> None:
 def test_renders_are_measured_nearer_to_the_true_plane() -> None:
     right = dataclasses.replace(LEFT, name="right", p=LEFT.p - BASELINE_M * LEFT.p[0, 0] * np.eye(3, 4, 3))
     stereo = StereoModel(left=LEFT, right=right)
-    detector, config = HarrisDetector(HarrisConfig(max_corners=2000)), MatchConfig()
+    detector, config = HarrisDetector(HarrisConfig(max_corners=2000)), StereoMatchConfig()
     recogniser = PanelRecogniser(LAYOUT)
     errors = []
     for seed in (101, 103, 105):

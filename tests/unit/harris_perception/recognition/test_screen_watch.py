@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from parameter_files import CONFIG
 
-from harris_perception.core.recognition.panel_state import StateConfig, _Screen
+from harris_perception.core.recognition.screen_watch import ScreenCells
+from harris_perception.core.recognition.state_config import StateConfig
 from icu_common.core.panel.panel_layout import load_layout
 from scope_bench.core import screen
 from scope_bench.core.instrument import InstrumentState, press
@@ -28,7 +29,7 @@ class WatchedScreen:
         print(f"seed {seed}")
         layout = load_layout(CONFIG / "scopes" / "dso_bench_4.yaml")
         control = next(c for c in layout.controls if c.kind == "touch_area")
-        self.watch = _Screen(control, StateConfig())
+        self.watch = ScreenCells(control, StateConfig())
         places = self.watch.points_m[:, :2] * 1e3 - control.position_mm
         width, height = screen.SIZE_PX
         self._x = ((places[:, 0] / control.size_mm[0] + 0.5) * width - 0.5).astype(np.float32)

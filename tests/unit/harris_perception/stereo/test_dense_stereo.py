@@ -251,7 +251,7 @@ matcher = dense.DenseStereo(stereo, dense.DenseConfig(), dense.SemiGlobalConfig(
 matcher.points(matcher.disparity(picture, picture))
 at = np.random.default_rng(1).uniform(60, 400, (300, 2))
 moved = np.roll(picture, -30, axis=1)
-found = sparse.match_corners(picture, moved, at, at[::2] - (30, 0), (2.0, 80.0), sparse.MatchConfig())
+found = sparse.match_corners(picture, moved, at, at[::2] - (30, 0), (2.0, 80.0), sparse.StereoMatchConfig())
 assert len(found) > 250, len(found)
 assert known() == warmed, (known(), warmed)
 for name in ("_accept", "_refine", "_keep_covered", "_spread_out"):

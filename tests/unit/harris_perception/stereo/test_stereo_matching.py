@@ -12,13 +12,9 @@ import pytest
 from unit.harris_perception.rendered_stylus import stereo_model
 
 from harris_perception.core.corners.harris import HarrisConfig, HarrisDetector
-from harris_perception.core.stereo.stereo_matching import (
-    MatchConfig,
-    Rectifier,
-    disparity_range,
-    match_corners,
-    triangulated,
-)
+from harris_perception.core.stereo.matches import triangulated
+from harris_perception.core.stereo.rectifier import Rectifier
+from harris_perception.core.stereo.stereo_matching import StereoMatchConfig, disparity_range, match_corners
 from icu_common.core.configuration.config import ConfigError
 
 LIMITS = (2.0, 80.0)
@@ -56,7 +52,7 @@ def test_disparity_is_measured_to_a_fraction_of_a_pixel(at_zero: float, slope_x:
     y, x = np.mgrid[0 : picture.shape[0], 0 : picture.shape[1]]
     left, right = shifted(picture, at_zero + slope_x * x + slope_y * y, rng)
     a, b = corners(left, right)
-    matches = match_corners(left, right, a, b, LIMITS, MatchConfig())
+    matches = match_corners(left, right, a, b, LIMITS, StereoMatchConfig())
     # left x = x + d(x, y) with d linear in the right x
     u, v = matches.left_px.T
     truth = (at_zero + slope_x * u + slope_y * v) / (1 + slope_x)
@@ -73,11 +69,11 @@ def test_disparity_is_measured_to_a_fraction_of_a_pixel(at_zero: float, slope_x:
 def test_the_partner_is_the_corner_of_the_right_picture() -> None:
     left, right = shifted(texture(), np.full((240, 360), 25.0), np.random.default_rng(2))
     a, b = corners(left, right)
-    matches = match_corners(left, right, a, b, LIMITS, MatchConfig(guided=False))
+    matches = match_corners(left, right, a, b, LIMITS, StereoMatchConfig(guided=False))
     assert (matches.index >= 0).all() and len(set(matches.index[:, 1])) == len(matches)
     assert np.allclose(a[matches.index[:, 0]], matches.left_px)
     assert np.abs(b[matches.index[:, 1]] + [25, 0] - matches.left_px).max() < 2.0
-    guided = match_corners(left, right, a, b[::2], LIMITS, MatchConfig())
+    guided = match_corners(left, right, a, b[::2], LIMITS, StereoMatchConfig())
     alone = guided.index[:, 1] < 0
     assert alone.sum() > 30 and np.abs(guided.disparity_px[alone] - 25).max() < 1.0
 
@@ -89,15 +85,15 @@ def test_repeated_texture_is_left_out() -> None:
     a, b = corners(left, right, count=0)
     assert len(a) > 1000
     for probable in (0.6, 0.0):
-        assert len(match_corners(left, right, a, b, LIMITS, MatchConfig(min_probability=probable))) < 0.1 * len(a)
+        assert len(match_corners(left, right, a, b, LIMITS, StereoMatchConfig(min_probability=probable))) < 0.1 * len(a)
 
 
 def test_disparity_stays_inside_its_limits() -> None:
     left, right = shifted(texture(), np.full((240, 360), 50.0), np.random.default_rng(4))
     a, b = corners(left, right)
-    wrong = match_corners(left, right, a, b, (2.0, 40.0), MatchConfig())
+    wrong = match_corners(left, right, a, b, (2.0, 40.0), StereoMatchConfig())
     assert len(wrong) < 0.15 * len(a) and (wrong.disparity_px <= 40).all()
-    found = match_corners(left, right, a, b, (45.0, 55.0), MatchConfig())
+    found = match_corners(left, right, a, b, (45.0, 55.0), StereoMatchConfig())
     assert len(found) > 150 and found.disparity_px.min() >= 45 and found.disparity_px.max() <= 55
 
 
@@ -106,10 +102,10 @@ def test_no_corners_no_matches(side: int) -> None:
     left, right = shifted(texture(), np.full((240, 360), 25.0), np.random.default_rng(5))
     points = corners(left, right)
     points[side] = np.empty((0, 2), np.float32)
-    matches = match_corners(left, right, *points, LIMITS, MatchConfig())
+    matches = match_corners(left, right, *points, LIMITS, StereoMatchConfig())
     assert len(matches) == 0 and matches.left_px.shape == (0, 2) and matches.index.shape == (0, 2)
     flat = np.full((240, 360), 90, np.uint8)
-    assert len(match_corners(flat, flat, *corners(left, right), LIMITS, MatchConfig())) == 0
+    assert len(match_corners(flat, flat, *corners(left, right), LIMITS, StereoMatchConfig())) == 0
 
 
 @pytest.mark.parametrize("cut", [np.s_[:120], np.s_[:, :200]])
@@ -118,16 +114,16 @@ def test_pictures_of_different_sizes_are_refused_and_nothing_beside_them_is_read
     smaller = np.ascontiguousarray(right[cut])
     a, b = corners(left, smaller)
     with pytest.raises(ValueError, match=rf"\(240, 360\) and \({smaller.shape[0]}, {smaller.shape[1]}\)"):
-        match_corners(left, smaller, a, b, LIMITS, MatchConfig())
+        match_corners(left, smaller, a, b, LIMITS, StereoMatchConfig())
 
 
 def test_points_are_metric_and_their_uncertainty_grows_with_depth() -> None:
     stereo = stereo_model()
     left, right = shifted(texture(shape=(480, 800)), np.full((480, 800), 300.0), np.random.default_rng(6))
     a, b = corners(left, right)
-    low, high = disparity_range(stereo, MatchConfig())
+    low, high = disparity_range(stereo, StereoMatchConfig())
     assert low == pytest.approx(1700 * 0.12 / 1.5) and high == pytest.approx(1700 * 0.12 / 0.2)
-    matches = match_corners(left, right, a, b, (low, high), MatchConfig())
+    matches = match_corners(left, right, a, b, (low, high), StereoMatchConfig())
     points = triangulated(stereo, matches)
     assert np.median(points[:, 2]) == pytest.approx(1700 * 0.12 / 300, rel=1e-3)
     assert np.allclose(points[:, 0] / points[:, 2] * 1700 + 399.5, matches.left_px[:, 0])
@@ -167,7 +163,7 @@ def test_turning_the_pictures_costs_no_precision_and_sigma_tells_the_error() -> 
         raws.append(np.clip(raw + rng.normal(0, 1, raw.shape) + 0.5, 0, 255).astype(np.uint8))
     at = (model.rectify(xy) for model, xy in zip((stereo.left, stereo.right), corners(*raws)))
     turned = (Rectifier(model)(raw) for model, raw in zip((stereo.left, stereo.right), raws))
-    matches = match_corners(*turned, *at, (100.0, 700.0), MatchConfig())
+    matches = match_corners(*turned, *at, (100.0, 700.0), StereoMatchConfig())
     u, v = matches.left_px.T
     error = matches.disparity_px - (at_zero + slope_x * u + slope_y * v) / (1 + slope_x)
     right = np.abs(error) < 0.6
@@ -180,9 +176,9 @@ def test_turning_the_pictures_costs_no_precision_and_sigma_tells_the_error() -> 
 
 def test_settings_that_contradict_are_refused() -> None:
     with pytest.raises(ConfigError, match="window_px = 10"):
-        MatchConfig(window_px=10)
+        StereoMatchConfig(window_px=10)
     with pytest.raises(ConfigError, match="max_depth_m"):
-        MatchConfig(min_depth_m=2.0)
+        StereoMatchConfig(min_depth_m=2.0)
 
 
 def photographs() -> list[tuple[str, Any, Any, Any, tuple[float, float]]]:
@@ -217,7 +213,7 @@ def visible(truth: Any) -> Any:
     return result
 
 
-def photograph_rates(config: MatchConfig) -> list[tuple[float, float]]:
+def photograph_rates(config: StereoMatchConfig) -> list[tuple[float, float]]:
     rates: list[tuple[float, float]] = []
     for name, left, right, truth, limits in photographs():
         truth = np.where(np.isfinite(truth), truth, 0.0)
@@ -235,13 +231,13 @@ def photograph_rates(config: MatchConfig) -> list[tuple[float, float]]:
 
 
 def test_photographs_with_known_disparity() -> None:
-    rates = photograph_rates(MatchConfig())
+    rates = photograph_rates(StereoMatchConfig())
     precision, recall = np.mean(rates, axis=0)
     assert precision >= 0.93 and recall >= 0.62
     assert min(rate[0] for rate in rates) >= 0.92
     assert min(rate[1] for rate in rates) >= 0.82
     assert precision >= 0.95 and recall >= 0.84
     # Every corner that may be right: many more wrong ones.
-    everything = photograph_rates(MatchConfig(min_probability=0.0))
+    everything = photograph_rates(StereoMatchConfig(min_probability=0.0))
     for (before, _), (precise, found) in zip(rates, everything):
         assert found >= 0.85 and 0.85 <= precise < before - 0.03

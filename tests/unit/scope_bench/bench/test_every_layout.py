@@ -10,7 +10,7 @@ import pytest
 from parameter_files import parameters
 
 from harris_perception.core.corners.harris import HarrisDetector
-from harris_perception.core.recognition.panel_state import PanelReader
+from harris_perception.core.recognition.panel_reader import PanelReader
 from harris_perception.core.recognition.recognition import PanelRecogniser
 from harris_perception.core.stylus.stylus import StylusTracker
 from harris_perception.core.stylus.stylus_config import StylusConfig

@@ -2,27 +2,28 @@
 
 Sources: C. Harris, M. Stephens, "A Combined Corner and Edge Detector", Alvey Vision Conference 1988; C. Schmid, R.
 Mohr, C. Bauckhage, "Evaluation of Interest Point Detectors", IJCV 37(2), 2000 (Gaussian derivatives and window); J.
-Shi, C. Tomasi, "Good Features to Track", CVPR 1994; J. A. Noble, "Finding Corners", IVC 6(2), 1988; for the recursive
-filters see deriche.py. The paper of 1988 computes derivatives by -1 0 1 in one row and sums in a Gaussian window. For
-speed, the default here uses three rows, as J. Prewitt's kernels do, and a box window.
+Shi, C. Tomasi, "Good Features to Track", CVPR 1994; J. A. Noble, "Finding Corners", IVC 6(2), 1988. The paper of 1988
+computes derivatives by -1 0 1 in one row and sums in a Gaussian window. For speed, the default here uses three rows, as
+J. Prewitt's kernels do, and a box window.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
 from typing import Any, overload
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
-from harris_perception.core.corners import harris_kernels as kernels
-from harris_perception.core.corners.structure import structure_of
-from harris_perception.core.image import bitmap, deriche
+from harris_perception.core.corners import harris_kernels, peak_kernels, response_kernels
+from harris_perception.core.corners.ranking import ranked
+from harris_perception.core.corners.spacing import apart, spread
+from harris_perception.core.corners.structure_matrix import StructureMatrix
+from harris_perception.core.corners.value_range import checked, in_range, in_unit
+from harris_perception.core.image import bitmap
 from icu_common.core.configuration.config import Config, ConfigError, setting
 
 F32 = npt.NDArray[Any]
@@ -33,15 +34,8 @@ BandMap = Callable[[Callable[[Callable[[], Band]], Band], Iterable[Callable[[], 
 _RESPONSES = ("harris", "shi_tomasi", "noble", "geometric")
 _NO_EDGES = (0.0, 0.0, np.empty((2, 0, 0), np.uint8))
 
-
 # By bytes per pixel: responses to 16 bits are 2^32 times as large as those to 8; those to float32 have any size.
 _HALF = {1: np.float32(0.5), 2: np.float32(2.0**-33)}
-
-_FAINT, _BRIGHT = 2.0**-16, 2.0**20
-"""Range of image values whose responses, of the fourth power, fit into float32 with any window."""
-
-_SPAN = 2.0**-24
-"""Size of a value, relative to one of 16 bits, whose response does not fit into float32 together with the latter's."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -143,6 +137,11 @@ class HarrisDetector:
         Function like ``map``; for several threads the ``map`` of a ``concurrent.futures.ThreadPoolExecutor``. The
         compiled passes hold no lock, so the bands of one image, or the images of a pair, then run in parallel.
 
+    Attributes
+    ----------
+    structure
+        The structure matrix from which the response is computed.
+
     Examples
     --------
     >>> import numpy as np
@@ -158,10 +157,13 @@ class HarrisDetector:
             raise ValueError(f"bands = {bands}: at least 1 is needed")
         self.config = config if config is not None else HarrisConfig()
         self._bands, self._run = bands, run
-        self._derivative, self._smooth = _gradient_taps(self.config)
-        self._window = _window_taps(self.config)
-        x = np.arange(len(self._derivative)) - len(self._derivative) // 2
-        self._gain = float((self._derivative * x).sum() * self._smooth.sum() * self._window.sum())
+        self.structure = StructureMatrix(
+            gradient=self.config.gradient,
+            sigma_d_px=self.config.sigma_d_px,
+            window=self.config.window,
+            window_px=self.config.window_px,
+            sigma_i_px=self.config.sigma_i_px,
+        )
         fusable = self.config.window == "box" and self.config.window_px == 3 and self.config.response == "harris"
         self._degree = 4 if self.config.response == "harris" else 2
         self._fused = fusable and self.config.gradient in ("harris", "sobel")
@@ -169,7 +171,7 @@ class HarrisDetector:
     @property
     def margin_px(self) -> int:
         """Width of the frame at the image border in which no response is computed."""
-        return len(self._derivative) // 2 + len(self._window) // 2
+        return self.structure.margin_px
 
     def warm(self) -> None:
         """Compile, or load from the cache, all code of this configuration, so that no image waits for it."""
@@ -202,7 +204,7 @@ class HarrisDetector:
             return self._selected([_nothing()])
         rows = (border, response.shape[0] - border)
         thresholds: tuple[Any, ...] = (config.absolute_threshold, config.relative_threshold, config.subpixel)
-        return self._selected([kernels.peaks_of(np.ascontiguousarray(response), border, *rows, *thresholds)])
+        return self._selected([peak_kernels.peaks_of(np.ascontiguousarray(response), border, *rows, *thresholds)])
 
     def strengths_of(self, response: F32) -> F32:
         """Return the strengths of corners with these responses, in the unit of edges, (N,) float32 grey levels per px.
@@ -211,12 +213,12 @@ class HarrisDetector:
         strength; for other responses it is their root.
         """
         if self.config.response == "harris":
-            return np.asarray((response / self.config.k) ** 0.25 / self._gain, np.float32)
-        return np.asarray(np.sqrt(response) / self._gain, np.float32)
+            return np.asarray((response / self.config.k) ** 0.25 / self.structure.gain, np.float32)
+        return np.asarray(np.sqrt(response) / self.structure.gain, np.float32)
 
     def response_of(self, strength: float) -> float:
         """Return the response of a corner of this strength (``harris`` only); negated, it is an edge's response."""
-        return float(self.config.k * (self._gain * strength) ** 4)
+        return float(self.config.k * (self.structure.gain * strength) ** 4)
 
     def _response(self, picture: npt.NDArray[Any]) -> tuple[F32, F32, F32]:
         """Return the response, and the sums of gx^2 and gy^2 without the frame of ``margin_px``."""
@@ -226,54 +228,8 @@ class HarrisDetector:
             return result, result[:0, :0], result[:0, :0]
         a, b, c = self.structure(picture)
         kind = _RESPONSES.index(self.config.response)
-        kernels.response_of(a, b, c, kind, self.config.k, result[margin:-margin, margin:-margin])
+        response_kernels.response_of(a, b, c, kind, self.config.k, result[margin:-margin, margin:-margin])
         return result, a, b
-
-    def structure(self, gray: npt.NDArray[Any]) -> tuple[F32, F32, F32]:
-        """Return the sums of gx^2, gy^2 and gx gy over the window, where kernels and window lie inside the image.
-
-        Parameters
-        ----------
-        gray
-            (H, W), both larger than twice ``margin_px``.
-
-        Returns
-        -------
-        tuple
-            Three of (H - 2 margin_px, W - 2 margin_px) float32, without the frame of ``margin_px``.
-        """
-        config, margin = self.config, self.margin_px
-        if "deriche" not in (config.gradient, config.window):
-            shape = (gray.shape[0] - 2 * margin, gray.shape[1] - 2 * margin)
-            a, b, c = (np.empty(shape, np.float32) for _ in range(3))
-            derivative, smooth, window = (
-                t[len(t) // 2 :].copy() for t in (self._derivative, self._smooth, self._window)
-            )
-            rows = np.ascontiguousarray(gray, np.uint8 if gray.dtype == np.uint8 else np.float32)
-            structure_of(rows, derivative[1:], smooth, window, a, b, c)
-            return a, b, c
-        source = from_lowest(gray)
-        unknown = ~np.isfinite(source)
-        source[unknown] = 0.0  # recursion would spread them over the whole image
-        if config.gradient == "deriche":
-            soft, slope = (deriche.recursive_filter(config.sigma_d_px, order) for order in (False, True))
-            gx, gy = deriche.filtered(source, slope, soft), deriche.filtered(source, soft, slope)
-        else:
-            gx = cv2.sepFilter2D(source, cv2.CV_32F, self._derivative, self._smooth)
-            gy = cv2.sepFilter2D(source, cv2.CV_32F, self._smooth, self._derivative)
-        inside = np.s_[margin:-margin, margin:-margin]
-        products = (gx * gx, gy * gy, gx * gy)
-        if config.window == "deriche":
-            soft = deriche.recursive_filter(config.sigma_i_px, False)
-            a, b, c = (deriche.filtered(p, soft, soft)[inside] for p in products)
-            for squares in (a, b):  # far from a step the recursion is below zero
-                np.maximum(squares, 0.0, out=squares)
-        else:
-            a, b, c = (cv2.sepFilter2D(p, cv2.CV_32F, self._window, self._window)[inside] for p in products)
-        if unknown.any():
-            near = cv2.dilate(unknown.astype(np.uint8), np.ones(2 * (2 * margin + 1,), np.uint8))[inside] > 0
-            a[near] = b[near] = c[near] = np.nan
-        return a, b, c
 
     @overload
     def detect(self, gray: npt.NDArray[Any]) -> Corners: ...
@@ -339,7 +295,7 @@ class HarrisDetector:
         else:
             response, a, b = self._response(picture)
             found = list(self._run(_call, self._tasks(picture, self._bands, unit, response=response)))
-            kernels.minima_of(response, a, b, self.margin_px + 1, weak, strong, bits)
+            response_kernels.minima_of(response, a, b, self.margin_px + 1, weak, strong, bits)
         return self._selected(found, unit), bits
 
     def _detect(self, pictures: Sequence[npt.NDArray[Any]]) -> list[Corners]:
@@ -367,11 +323,11 @@ class HarrisDetector:
         thresholds: tuple[Any, ...] = (absolute, config.relative_threshold, config.subpixel)
         if self._fused:
             rows = np.ascontiguousarray(picture, np.uint8 if picture.dtype == np.uint8 else np.float32)
-            centre = self._smooth[1:2].astype(np.int16 if rows.dtype == np.uint8 else np.float32)
-            find: Callable[..., Band] = partial(kernels.fused_peaks, rows, centre, border)
+            centre = self.structure.smooth[1:2].astype(np.int16 if rows.dtype == np.uint8 else np.float32)
+            find: Callable[..., Band] = partial(harris_kernels.fused_peaks, rows, centre, border)
             thresholds = (config.k, *thresholds, _HALF.get(picture.dtype.itemsize, 0.5), *edges)
         else:
-            find = partial(kernels.peaks_of, self._response(picture)[0] if response is None else response, border)
+            find = partial(peak_kernels.peaks_of, self._response(picture)[0] if response is None else response, border)
         # Two rows share half of a sum, so bands begin at even rows: rounding is then the same for any number of bands.
         limits = [*(border + (height - 2 * border) * i // bands // 2 * 2 for i in range(bands)), height - border]
         return [partial(find, first, last, *thresholds) for first, last in pairwise(limits)]
@@ -381,10 +337,10 @@ class HarrisDetector:
         peaks = bands[0][0] if len(bands) == 1 else np.concatenate([band[0] for band in bands])
         spaced = config.even_spread or config.suppression_radius_px > 1.0
         limit = config.max_corners or len(peaks)
-        xy, response = kernels.ranked(peaks, max(band[1] for band in bands), len(peaks) if spaced else limit)
+        xy, response = ranked(peaks, max(band[1] for band in bands), len(peaks) if spaced else limit)
         if spaced and len(xy) > 0:
             even = config.even_spread and len(xy) > limit
-            find = spread if even else kernels.apart
+            find = spread if even else apart
             kept = find(xy, config.suppression_radius_px, limit)
             xy, response = xy[kept], response[kept]
         return Corners(xy, in_unit(response, unit**self._degree))
@@ -396,100 +352,3 @@ def _call(task: Callable[[], Band]) -> Band:
 
 def _nothing() -> Band:
     return np.empty((0, 3), np.float32), 0.0
-
-
-def checked(gray: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """Return the image (H, W) if the detectors accept it, else raise ``ValueError``.
-
-    A read-only image is copied: numba would compile the kernels again for read-only arrays.
-    """
-    if gray.ndim != 2:
-        raise ValueError(f"a grey picture (H, W) is needed, not shape {gray.shape}")
-    if gray.dtype.newbyteorder("=") not in (np.uint8, np.uint16, np.float32):
-        raise ValueError(f"uint8, uint16 or float32 is needed, not {gray.dtype}")
-    return gray if gray.flags.writeable else gray.copy()
-
-
-def in_range(gray: npt.NDArray[Any], least: float = _FAINT) -> tuple[npt.NDArray[Any], float]:
-    """Return a checked image (H, W) in a unit in which float32 holds its responses, and that unit.
-
-    The unit is a power of two, so nothing is rounded. It is 1 except for floats whose largest value is below ``least``
-    or huge. It is also 1 if only a few values are huge relative to the others, such as placeholders for unknown values.
-    """
-    if gray.dtype.kind != "f" or gray.size == 0:
-        return gray, 1.0
-    top = max(-float(np.fmin.reduce(gray, axis=None)), float(np.fmax.reduce(gray, axis=None)))
-    if not math.isfinite(top):
-        top = float(np.where(np.isfinite(gray), np.abs(gray), np.float32(0.0)).max())
-    if top == 0.0 or least <= top <= _BRIGHT:
-        return gray, 1.0
-    exponent = math.frexp(top)[1] - 16
-    if top > _BRIGHT:
-        sizes = np.abs(gray[np.isfinite(gray) & (gray != 0.0)])
-        if math.ldexp(float(np.median(sizes)), -exponent) < _SPAN:
-            return gray, 1.0
-    return np.ldexp(gray, -exponent), math.ldexp(1.0, exponent)
-
-
-def in_unit(response: F32, unit: float) -> F32:
-    """Return positive responses times a unit, float32 if it holds all of them, else float64."""
-    if unit == 1.0:
-        return response
-    values = response.astype(np.float64) * unit
-    held = np.finfo(np.float32)
-    return values if ((values < held.tiny) | (values > held.max)).any() else values.astype(np.float32)
-
-
-def from_lowest(gray: npt.NDArray[Any]) -> F32:
-    """Return an image (H, W) minus its lowest finite value, float32.
-
-    Gradients do not change, but rounding in earlier steps grows with the values: on a constant image rounding errors
-    would be detected as corners.
-    """
-    values = gray.astype(np.float32)
-    lowest = np.min(values, where=np.isfinite(values), initial=np.float32(np.inf))
-    return np.asarray(values - lowest, np.float32) if np.isfinite(lowest) else values
-
-
-def gaussian_taps(sigma: float) -> F32:
-    """Return the weights (2 ceil(3 sigma) + 1,) of a sampled Gaussian of ``sigma`` px, cut at three sigma, sum one."""
-    x = np.arange(-math.ceil(3.0 * sigma), math.ceil(3.0 * sigma) + 1)
-    weights = np.exp(-0.5 * (x / sigma) ** 2)
-    return np.array(weights / weights.sum(), np.float32)
-
-
-def gaussian_derivative_taps(sigma: float) -> F32:
-    """Return the weights (for correlation) of a Gaussian's derivative; a ramp of slope one gives one."""
-    x = np.arange(-math.ceil(3.0 * sigma), math.ceil(3.0 * sigma) + 1)
-    weights = x * np.exp(-0.5 * (x / sigma) ** 2)
-    return np.array(weights / (weights * x).sum(), np.float32)
-
-
-def _gradient_taps(config: HarrisConfig) -> tuple[F32, F32]:
-    if config.gradient in ("gaussian", "deriche"):  # with recursion the taps only give the margin
-        return gaussian_derivative_taps(config.sigma_d_px), gaussian_taps(config.sigma_d_px)
-    smooth = (1, 1, 1) if config.gradient == "harris" else (1, 2, 1)
-    return np.array((-1, 0, 1), np.float32), np.array(smooth, np.float32)
-
-
-def _window_taps(config: HarrisConfig) -> F32:
-    if config.window in ("gaussian", "deriche"):
-        return gaussian_taps(config.sigma_i_px)
-    return np.ones(config.window_px, np.float32)
-
-
-def spread(xy: F32, least: float, limit: int) -> npt.NDArray[np.int64]:
-    """Return ``limit`` indices of corners (N, 2) px, strongest first, at the largest distance, at least ``least`` px.
-
-    The distance that leaves this number is found by bisection (Bailo, PRL 106, 2018).
-    """
-    low, high = least, float(np.hypot(*np.ptp(xy, axis=0))) + least
-    best = kernels.apart(xy, low, limit)
-    while high - low > 0.25 and len(best) == limit:
-        middle = 0.5 * (low + high)
-        tried = kernels.apart(xy, middle, limit)
-        if len(tried) == limit:
-            low, best = middle, tried
-        else:
-            high = middle
-    return best

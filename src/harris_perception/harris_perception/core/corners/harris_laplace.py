@@ -15,7 +15,9 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from harris_perception.core.corners.harris import HarrisConfig, HarrisDetector, checked, from_lowest, spread
+from harris_perception.core.corners.harris import HarrisConfig, HarrisDetector
+from harris_perception.core.corners.spacing import spread
+from harris_perception.core.corners.value_range import checked, from_lowest
 from harris_perception.core.image.sampling import sampled
 from icu_common.core.configuration.config import Config, nested, setting
 

@@ -16,7 +16,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from harris_perception.core.corners.harris import Corners, HarrisConfig, HarrisDetector, checked, in_range, in_unit
+from harris_perception.core.corners.harris import Corners, HarrisConfig, HarrisDetector
+from harris_perception.core.corners.value_range import checked, in_range, in_unit
 from harris_perception.core.image.diffusion import diffused
 from harris_perception.core.image.noise import noise_of
 from harris_perception.core.image.sampling import mean_around

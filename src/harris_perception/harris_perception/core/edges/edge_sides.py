@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from harris_perception.core.corners.harris import gaussian_taps
+from harris_perception.core.corners.taps import gaussian_taps
 from harris_perception.core.edges import edge_kernels as kernels
 
 Picture = npt.NDArray[np.float32]

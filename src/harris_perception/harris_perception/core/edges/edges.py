@@ -1,4 +1,4 @@
-"""Edges by the combined detector: pixels with negative response, thinned, linked, and ending at corners.
+"""Edges as outlines of objects: pixels with negative response, thinned, linked, and ending at corners.
 
 Sources: C. Harris, M. Stephens, "A Combined Corner and Edge Detector", Alvey Vision Conference 1988; hysteresis as in
 J. Canny, PAMI 8(6), 1986; the gradient of several channels as in S. Di Zenzo, CVGIP 33(1), 1986; the inhibition by the
@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from harris_perception.core.corners.harris import Corners, HarrisConfig, HarrisDetector, checked, from_lowest, in_range
+from harris_perception.core.corners.value_range import checked, from_lowest, in_range
 from harris_perception.core.edges import edge_kernels as kernels
 from harris_perception.core.edges import edge_tracing as tracing
 from harris_perception.core.edges.edge_sides import SHRUNK, Sides, structure
@@ -36,7 +36,7 @@ _ABOVE_START = 1.5
 """Minimum strength of corners that end an outline, as a multiple of ``high``; noise of 1 grey level hardly reaches
 it."""
 
-_ABOVE_NOISE = 3.0
+ABOVE_NOISE = 3.0
 """Minimum strength of corners that end an edge, as a multiple of the noise; corners of noise seldom reach it."""
 
 
@@ -273,7 +273,7 @@ class EdgeDetector:
         thinned, noise = self.thinned(picture, grey_level), 0.0
         if strengths is not None:
             gray = picture if picture.ndim == 2 or picture.size == 0 else cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY)
-            noise = noise_above(gray, _ABOVE_START * self.config.high * grey_level / _ABOVE_NOISE) / grey_level
+            noise = noise_above(gray, _ABOVE_START * self.config.high * grey_level / ABOVE_NOISE) / grey_level
             strengths = np.asarray(strengths) / grey_level
         return self.edges_of(thinned, corners_xy, strengths, noise)
 
@@ -289,78 +289,9 @@ class EdgeDetector:
         bits = bitmap.blank(2, *values.shape)
         tracing.candidates(values, config.low_of_high * config.high, config.high, bits)
         ends = (
-            None
-            if strengths is None
-            else np.asarray(strengths) >= max(_ABOVE_START * config.high, _ABOVE_NOISE * noise)
+            None if strengths is None else np.asarray(strengths) >= max(_ABOVE_START * config.high, ABOVE_NOISE * noise)
         )
         return traced(bits, values.shape, config, corners_xy, ends, values, config.min_weight_px * config.high)
-
-
-class CombinedDetector:
-    """Corners and edges in one pass, as in the paper of 1988: as fast as possible, at the scale of the corners.
-
-    For outlines of objects rather than of texture see :class:`EdgeDetector`.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> picture = np.zeros((60, 60), np.uint8)
-    >>> picture[20:, 30:] = 200
-    >>> corners, edges = CombinedDetector().detect(picture)
-    >>> corners.xy.round().astype(int).tolist(), [len(chain) for chain in edges.chains]
-    ([[30, 20]], [27, 37])
-    >>> sorted({int(value) for value in np.unique(edges.labels)}) == [FLAT, EDGE, CORNER]
-    True
-    """
-
-    def __init__(self, config: HarrisConfig | None = None, edges: TracingConfig | None = None) -> None:
-        self.edges = edges if edges is not None else TracingConfig()
-        self._detector = HarrisDetector(config)
-
-    def warm(self) -> None:
-        """Compile, or load from the cache, all code needed, so that no image waits for it."""
-        checks = (np.indices((64, 64)) // 16).sum(axis=0) % 2 * 100
-        for dtype in (np.uint8, np.uint16, np.float32):
-            self.detect(checks.astype(dtype))
-
-    def detect(
-        self,
-        gray: npt.NDArray[Any],
-        corners_xy: npt.ArrayLike | None = None,
-        strengths: npt.ArrayLike | None = None,
-        grey_level: float = 1.0,
-    ) -> tuple[Corners, Edges]:
-        """Return corners and edges of an image; the corners are those of ``HarrisDetector``.
-
-        Edges end only at corners that are at least as strong as the weakest edge and three times the noise. In an image
-        without such corners all corners are noise, and edges that ended at them would be cut to pieces.
-
-        Parameters
-        ----------
-        gray
-            (H, W) uint8, uint16 or float32.
-        corners_xy
-            (N, 2) px of other corners at which edges end instead.
-        strengths
-            (N,) of these, from their detector's ``strengths_of``. Without strengths edges end at all of them.
-        grey_level
-            Size of one grey level of the edges' settings, in values of the image.
-
-        Raises
-        ------
-        ValueError
-            For another shape or dtype, a response other than ``harris``, or a corner outside the image.
-        """
-        config, high = self.edges, self.edges.high * grey_level
-        low = config.low_of_high * high
-        corners, bits = self._detector.detect_with_edges(gray, low, high)
-        least = max(low, _ABOVE_NOISE * noise_above(gray, low / _ABOVE_NOISE))
-        ends: npt.NDArray[np.bool_] | None
-        if corners_xy is None:
-            corners_xy, ends = corners.xy, corners.response >= np.float64(self._detector.response_of(least))
-        else:
-            ends = None if strengths is None else np.asarray(strengths) >= least
-        return corners, traced(bits, gray.shape, config, corners_xy, ends)
 
 
 def traced(

@@ -15,7 +15,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from harris_perception.core.edges.edges import EDGE, CombinedDetector, EdgeConfig, EdgeDetector, TracingConfig
+from harris_perception.core.edges.combined_detector import CombinedDetector
+from harris_perception.core.edges.edges import EDGE, EdgeConfig, EdgeDetector, TracingConfig
 from harris_perception.core.image.compiled import called, compiled
 
 Mask = npt.NDArray[np.bool_]

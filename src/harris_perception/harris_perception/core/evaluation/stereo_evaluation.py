@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from harris_perception.core.corners.harris import HarrisConfig, HarrisDetector
 from harris_perception.core.stereo.dense_stereo import F32, U8, SemiGlobalConfig, SemiGlobalMatcher, fill_holes
-from harris_perception.core.stereo.stereo_matching import MatchConfig, match_corners
+from harris_perception.core.stereo.stereo_matching import StereoMatchConfig, match_corners
 
 MAX_POINTS = 1500
 ALL_CORNERS = "ours, min_probability 0.45"
@@ -206,7 +206,7 @@ def sparse_methods(disparities: int) -> dict[str, Callable[[U8, U8], SparseResul
     """Return our matcher and its peers; each uses at most MAX_POINTS points per image."""
     detector = HarrisDetector(HarrisConfig(max_corners=MAX_POINTS))
 
-    def corners(left: U8, right: U8, config: MatchConfig) -> SparseResult:
+    def corners(left: U8, right: U8, config: StereoMatchConfig) -> SparseResult:
         a, b = (detector.detect(picture).xy for picture in (left, right))
         found = match_corners(left, right, a, b, (1.0, float(disparities)), config)
         return SparseResult(a, found.left_px, found.disparity_px)
@@ -234,8 +234,8 @@ def sparse_methods(disparities: int) -> dict[str, Callable[[U8, U8], SparseResul
         return _whole_rows(left, right, detector.detect(left).xy, disparities)
 
     return {
-        "ours": lambda left, right: corners(left, right, MatchConfig()),
-        ALL_CORNERS: lambda left, right: corners(left, right, MatchConfig(min_probability=0.45)),
+        "ours": lambda left, right: corners(left, right, StereoMatchConfig()),
+        ALL_CORNERS: lambda left, right: corners(left, right, StereoMatchConfig(min_probability=0.45)),
         "ORB, cross check": orb,
         "SIFT, ratio 0.75": sift,
         "Harris, ZNCC, mutual best": mutual,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -141,3 +142,43 @@ def robust_homography(
         return None
     refined, _ = cv2.findHomography(points_mm[used], pixels[used], method=0)
     return None if refined is None else (np.asarray(refined, dtype=np.float64), used)
+
+
+class TemplateSearch:
+    """Searches images for a face by the descriptors of its templates.
+
+    Parameters
+    ----------
+    config
+        Limits of the search.
+    templates
+        For each scale the drawn face (H, W) uint8, its corners (N, 2) px, and their positions (N, 2) mm on the face.
+    """
+
+    def __init__(self, config: SearchConfig, templates: Sequence[tuple[Gray, Floats, Array]]) -> None:
+        self._config = config
+        self._describe = Describer(config)
+        described = [self._describe(gray, corners_px) for gray, corners_px, _ in templates]
+        self._descriptors = np.vstack([descriptors for descriptors, _ in described])
+        self._places_mm = np.vstack([places[kept] for (_, _, places), (_, kept) in zip(templates, described)])
+
+    def matched(self, rectified: Gray, corners_px: Floats, least: int) -> Iterator[tuple[Array, Array, Array]]:
+        """Yield homographies, the likeliest first, with the positions (N, 2) mm and pixels (N, 2) that agree on each.
+
+        At least ``least`` agree on each.
+        """
+        config = self._config
+        descriptors, kept = self._describe(rectified, corners_px)
+        if len(kept) < least:
+            return
+        query, place = matches(descriptors, self._descriptors, self._places_mm, config)
+        places, pixels = self._places_mm[place], corners_px[kept][query].astype(np.float64)
+        for _ in range(config.hypotheses):
+            if len(places) < least:
+                return
+            fitted = robust_homography(places, pixels, config.tolerance_px, least)
+            if fitted is None:
+                return
+            homography, used = fitted
+            yield homography, places[used], pixels[used]
+            places, pixels = places[~used], pixels[~used]

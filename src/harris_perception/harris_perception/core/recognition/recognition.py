@@ -36,16 +36,9 @@ from harris_perception.core.pose.planar_pose import (
 )
 from harris_perception.core.pose.pose_agreement import AgreementConfig
 from harris_perception.core.recognition.face_measurement import FaceMeter, RefineConfig
-from harris_perception.core.recognition.face_patches import Patches
-from harris_perception.core.recognition.panel_search import (
-    Describer,
-    Floats,
-    Gray,
-    SearchConfig,
-    matches,
-    robust_homography,
-)
+from harris_perception.core.recognition.panel_search import Floats, Gray, SearchConfig, TemplateSearch
 from harris_perception.core.recognition.panel_template import panel_template
+from harris_perception.core.recognition.sighting import Sighting
 from icu_common.core.configuration.config import Config, ConfigError, nested
 from icu_common.core.geometry.camera_model import CameraModel
 from icu_common.core.geometry.geometry import Array, Transform
@@ -78,43 +71,6 @@ class RecognitionConfig(Config):
             raise ConfigError(
                 f"agreement.window = {self.agreement.window} is below agreement.frames = {self.agreement.frames}"
             )
-
-
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Sighting:
-    """The panel in one image.
-
-    Attributes
-    ----------
-    camera_from_panel
-        Pose in the camera's rectified frame, metres.
-    points
-        The measured points that fit.
-    rms_px
-        Rms misfit of these points under the pose.
-    deviation_px
-        Standard deviation of the image positions of the face's corners under the pose, with independent errors of
-        edges.
-    tracked
-        Tracked from the previous frame, not searched.
-    patches
-        Agreement of the print, by position on the face.
-    fit
-        The pose with its covariance.
-    """
-
-    camera_from_panel: Transform
-    points: FacePoints
-    rms_px: float
-    deviation_px: float
-    tracked: bool
-    patches: Patches
-    fit: PoseFit
-
-    @property
-    def agreement(self) -> float:
-        """Share of agreeing patches among the face's textured patches, 0 to 1."""
-        return self.patches.agreement
 
 
 def face_meter(
@@ -175,17 +131,10 @@ class PanelRecogniser:
         fine = HarrisConfig() if harris is None else harris
         self._fine_detector = HarrisDetector(dataclasses.replace(fine, relative_threshold=0.0))
         self._meter = face_meter(layout, self.config, harris, picture, picture_px_per_mm)
-        self._describe = Describer(search)
-        described = [
-            self._describe(level.template.gray, level.corners_px[: search.corners_per_level])
-            for level in self._meter.levels
-        ]
-        self._descriptors = np.vstack([descriptors for descriptors, _ in described])
-        self._places_mm = np.vstack(
-            [
-                level.corners_mm[: search.corners_per_level][kept]
-                for level, (_, kept) in zip(self._meter.levels, described)
-            ]
+        count = search.corners_per_level
+        self._templates = TemplateSearch(
+            search,
+            [(level.template.gray, level.corners_px[:count], level.corners_mm[:count]) for level in self._meter.levels],
         )
         self._maps: tuple[CameraModel, tuple[Any, Any]] | None = None
         self._last: Sighting | None = None
@@ -271,7 +220,7 @@ class PanelRecogniser:
 
         def matched() -> Iterator[tuple[Array, Array]]:
             nonlocal most
-            for _, places, pixels in self._matched(rectified, corners_px, least):
+            for _, places, pixels in self._templates.matched(rectified, corners_px, least):
                 most = max(most, len(places))
                 yield places, pixels
 
@@ -287,7 +236,7 @@ class PanelRecogniser:
         larger = np.asarray(cv2.resize(rectified, size, interpolation=cv2.INTER_CUBIC), np.uint8)
         corners = self._fine_detector.detect(larger).xy[: self.config.search.max_corners].astype(np.float32)
         least = self.config.search.min_matches
-        matched = self._matched(larger, corners, least)
+        matched = self._templates.matched(larger, corners, least)
         smaller = ((places, (pixels + 0.5) / _ENLARGED - 0.5) for _, places, pixels in matched)
         return self._best(rectified, self._suggested(smaller, camera), camera)
 
@@ -379,28 +328,7 @@ class PanelRecogniser:
             (N, 2) float32 corners by falling response.
         """
         least = self.config.search.min_matches
-        return next((homography for homography, _, _ in self._matched(rectified, corners_px, least)), None)
-
-    def _matched(self, rectified: Gray, corners_px: Floats, least: int) -> Iterator[tuple[Array, Array, Array]]:
-        """Yield homographies, the likeliest first, with the positions (N, 2) mm and pixels (N, 2) that agree on each.
-
-        At least ``least`` agree on each.
-        """
-        search = self.config.search
-        descriptors, kept = self._describe(rectified, corners_px)
-        if len(kept) < least:
-            return
-        query, place = matches(descriptors, self._descriptors, self._places_mm, search)
-        places, pixels = self._places_mm[place], corners_px[kept][query].astype(np.float64)
-        for _ in range(search.hypotheses):
-            if len(places) < least:
-                return
-            fitted = robust_homography(places, pixels, search.tolerance_px, least)
-            if fitted is None:
-                return
-            homography, used = fitted
-            yield homography, places[used], pixels[used]
-            places, pixels = places[~used], pixels[~used]
+        return next((homography for homography, _, _ in self._templates.matched(rectified, corners_px, least)), None)
 
     def _suggested(self, matched: Iterable[tuple[Array, Array]], camera: CameraModel) -> Iterator[Transform]:
         """Yield the poses that fit the positions (N, 2) mm and pixels (N, 2)."""

@@ -10,7 +10,10 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from harris_perception.core.recognition.control_samples import on_top
+from harris_perception.core.recognition.state_config import StateConfig
 from icu_common.core.geometry.geometry import Array
+from icu_common.core.panel.panel_layout import Control
 
 CONFIRMED = 3
 """Number of successive images that must show a change."""
@@ -111,3 +114,32 @@ def unlit(value: Array, before: Array, light: float) -> Array:
     """
     low, high = before * min(light, 1.0), before * max(light, 1.0)
     return np.asarray(np.abs(value - np.clip(value, low, high)).max(axis=-1))
+
+
+class ScreenCells:
+    """Usual appearance of each cell of a screen, and the time of the last change of enough resting cells."""
+
+    def __init__(self, control: Control, config: StateConfig) -> None:
+        columns, rows = (max(4, round(side / config.cell_mm)) for side in control.size_mm)
+        fine = 2  # samples per cell, in each direction
+        x = (np.arange(columns * fine) + 0.5) / (columns * fine) * 2 - 1
+        y = (np.arange(rows * fine) + 0.5) / (rows * fine) * 2 - 1
+        grid = np.stack(np.meshgrid(0.98 * x, 0.98 * y), axis=-1).reshape(-1, 2)
+        self.points_m = on_top(control, grid)
+        self.shape = (rows, fine, columns, fine)
+        self._watch = ScreenWatch((rows, columns), config.cell_change, config.changed_cells, config.cell_rest_s)
+
+    @property
+    def changed_ns(self) -> int:
+        """Stamp of the newest change."""
+        return self._watch.changed_ns
+
+    def cells(self, samples: Array) -> Array:
+        """Return the means of the cells, (rows, columns, channels)."""
+        means: Array = samples.reshape(*self.shape, -1).mean(axis=(1, 3))
+        return means
+
+    def add(self, samples: Array, hidden: npt.NDArray[np.bool_], stamp_ns: int, light: float) -> None:
+        """Add one image's samples (N, 3), which of them are hidden (N,), and its brightness (1 is usual)."""
+        seen = self.cells(hidden.astype(np.float64))[..., 0] == 0
+        self._watch.add(self.cells(samples), seen, stamp_ns, light)

@@ -2,41 +2,44 @@
 
 A left corner is compared with the right corners near its row by zero-mean normalised cross-correlation. A mutual best
 match is kept if it is clearly better than the best match at another position and agrees with its neighbours. The
-disparity is then refined by Gauss-Newton along the row (B. Lucas, T. Kanade, IJCAI 1981). The window's slant is a free
-parameter, since an instrument's panel is seldom parallel to the cameras.
+disparity is then refined (``match_windows``). The window's slant is a free parameter, since an instrument's panel is
+seldom parallel to the cameras.
 
-Unmatched corners are searched again with small windows. Then all matches are rated by the middle of their windows,
-their census (the pixels that are brighter than the middle one; R. Zabih, J. Woodfill, ECCV 1994), their uncertainty and
-their neighbours.
+Unmatched corners are searched again with small windows. Then all matches are rated (``match_rating``).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
-from harris_perception.core.image.sampling import sampled
 from harris_perception.core.stereo import stereo_kernels as kernels
 from harris_perception.core.stereo.depth_range import DepthRange
+from harris_perception.core.stereo.match_rating import agreeing, probability
+from harris_perception.core.stereo.match_windows import F32, normalised, refined, windows_at
+from harris_perception.core.stereo.matches import StereoMatches
 from icu_common.core.configuration.config import ConfigError, setting
-from icu_common.core.geometry.camera_model import CameraModel, StereoModel
-from icu_common.core.geometry.geometry import Array
+from icu_common.core.geometry.camera_model import StereoModel
 
 Gray = npt.NDArray[np.uint8]
-F32 = npt.NDArray[np.float32]
 
 _NOISE = 0.02
 """Loss of correlation by noise, added to both terms of the ratio; without it noise decides between equal matches."""
 _FLOOR_PX = 0.06
 """Error by rectification and interpolation besides noise (rendered panels: 0.07 px measured, 0.025 by noise)."""
+_SEARCH = 8
+"""Columns around the expected position in which a corner without partner is searched."""
+_SMALL_PASSES = ((3.0, 0.4), (np.inf, 0.5))
+"""Range beyond the neighbours' disparities that is searched, and minimum correlation: first near the neighbours, then
+along the whole row. The probability decides later, for all matches alike."""
+_SMALL_HALF = 2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class MatchConfig(DepthRange):
+class StereoMatchConfig(DepthRange):
     """Settings of the matcher."""
 
     row_tolerance_px: float = setting(
@@ -78,66 +81,7 @@ class MatchConfig(DepthRange):
             raise ConfigError(f"window_px = {self.window_px}: an odd number is needed")
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Matches:
-    """Matched corners.
-
-    Attributes
-    ----------
-    left_px
-        (N, 2) rectified pixels in the left image.
-    disparity_px
-        (N,) left column minus right column.
-    sigma_px
-        (N,) standard deviation of the disparity, from the windows' difference and texture; docs/decisions/stereo.md has
-        its accuracy.
-    correlation
-        (N,) correlation of the windows.
-    index
-        (N, 2) row numbers of the left and right corners; -1 if the right image has no corner there.
-    """
-
-    left_px: Array
-    disparity_px: Array
-    sigma_px: Array
-    correlation: Array
-    index: npt.NDArray[np.intp]
-
-    def __len__(self) -> int:
-        return len(self.disparity_px)
-
-
-class Rectifier:
-    """Rectifies raw grey images and caches the maps for it.
-
-    Parameters
-    ----------
-    model
-        The camera.
-    size
-        (width, height) of the rectified images: for a pair, the left camera's for both. None: that of the raw images.
-    """
-
-    def __init__(self, model: CameraModel, size: tuple[int, int] | None = None) -> None:
-        self._model = model
-        self._maps = model.rectification_maps(size)
-
-    def __call__(self, gray: Gray) -> Gray:
-        """Rectify (H, W) uint8 into an image of ``size``.
-
-        Raises
-        ------
-        ValueError
-            If the image's size is not the calibrated one, or it is not 8 bits deep.
-        """
-        if gray.shape != (self._model.height, self._model.width) or gray.dtype != np.uint8:
-            calibrated = self._model.height, self._model.width
-            raise ValueError(f"picture {gray.shape} {gray.dtype}: {calibrated} uint8 is calibrated")
-        # Linear interpolation would blur each line depending on its subpixel position: docs/decisions/stereo.md.
-        return np.asarray(cv2.remap(gray, self._maps[0], self._maps[1], cv2.INTER_CUBIC), np.uint8)
-
-
-def disparity_range(stereo: StereoModel, config: MatchConfig) -> tuple[float, float]:
+def disparity_range(stereo: StereoModel, config: StereoMatchConfig) -> tuple[float, float]:
     """Return the minimum and maximum column difference, in rectified pixels, for the depth limits."""
     shift = float(stereo.left.p[0, 2] - stereo.right.p[0, 2])
     product = stereo.focal_px * stereo.baseline
@@ -150,8 +94,8 @@ def match_corners(
     left_px: npt.ArrayLike,
     right_px: npt.ArrayLike,
     disparity_limits_px: tuple[float, float],
-    config: MatchConfig,
-) -> Matches:
+    config: StereoMatchConfig,
+) -> StereoMatches:
     """Match corners of a rectified pair.
 
     Parameters
@@ -180,8 +124,8 @@ def match_corners(
     right_place, right_at = right_place[order], right_at[order]
     low, high = disparity_limits_px
     best, score, after = kernels.best_partners(
-        _normalised(_windows(left_fine, left_at, half)),
-        _normalised(_windows(right_fine, right_at, half)),
+        normalised(windows_at(left_fine, left_at, half)),
+        normalised(windows_at(right_fine, right_at, half)),
         left_at,
         right_at,
         config.row_tolerance_px,
@@ -193,7 +137,7 @@ def match_corners(
     rough = left_at[chosen, 0] - right_at[best[chosen], 0]
     if config.min_agreeing:
         at = left_at[chosen]
-        agree = _agreeing(at, rough, at, rough, config.max_slope) >= config.min_agreeing
+        agree = agreeing(at, rough, at, rough, config.max_slope) >= config.min_agreeing
         chosen, rough = chosen[agree], rough[agree]
     if config.guided:
         # A corner with several equal partners stays undecided: its neighbours may have been misled by the same pattern.
@@ -201,12 +145,12 @@ def match_corners(
         which, more, correlation = _guided(left_fine, right_fine, left_at[rest], left_at[chosen], rough, half, config)
         best[rest[which]], score[rest[which]] = -1, correlation
         chosen, rough = np.r_[chosen, rest[which]], np.r_[rough, more]
-    disparity, sigma = _refined(left_fine, right_fine, left_at[chosen], rough.astype(np.float64), half)
+    disparity, sigma = refined(left_fine, right_fine, left_at[chosen], rough.astype(np.float64), half)
     # A window that moves by more than its corner's own uncertainty follows something else; NaN also fails here.
     steady = (np.abs(disparity - rough) < 1.5) & (disparity >= low) & (disparity <= high)
     chosen = chosen[steady]
     partner = np.where(best[chosen] < 0, -1, right_place[best[chosen]]) if len(right_place) else best[chosen]
-    matches = Matches(
+    matches = StereoMatches(
         left_px=left_at[chosen].astype(np.float64),
         disparity_px=disparity[steady],
         sigma_px=np.hypot(sigma[steady], _FLOOR_PX),
@@ -217,7 +161,7 @@ def match_corners(
     undecided = left_place[~distinct & (score >= config.min_correlation)]
     for reach_px, least in _SMALL_PASSES if config.guided else ():
         matches = _with_small_windows(matches, left_fine, right_fine, corners, undecided, (low, high), reach_px, least)
-    return _chosen(matches, _probability(left_fine, right_fine, matches) >= config.min_probability)
+    return matches.only(probability(left_fine, right_fine, matches) >= config.min_probability)
 
 
 def warm() -> None:
@@ -227,15 +171,7 @@ def warm() -> None:
     left, right = picture[:, :160], picture[:, 20:180].copy()
     right[:, 100:] = right[::-1, 100:]  # unmatched corners exercise all searches
     at = rng.uniform((45, 15), (145, 80), (120, 2)).astype(np.float32)
-    match_corners(left, right, at, at[::2] - (20, 0), (1.0, 32.0), MatchConfig())
-
-
-def triangulated(stereo: StereoModel, matches: Matches) -> Array:
-    """Return (N, 4): x, y, z and the depth's standard deviation in metres, in the left rectified frame."""
-    right = matches.left_px - np.column_stack([matches.disparity_px, np.zeros(len(matches))])
-    xyz = stereo.triangulate(matches.left_px, right)
-    sigma = xyz[:, 2] ** 2 / (stereo.focal_px * stereo.baseline) * matches.sigma_px
-    return np.column_stack([xyz, sigma])
+    match_corners(left, right, at, at[::2] - (20, 0), (1.0, 32.0), StereoMatchConfig())
 
 
 def _inside(points: npt.ArrayLike, picture: Gray, margin: int) -> tuple[npt.NDArray[np.intp], F32]:
@@ -247,36 +183,8 @@ def _inside(points: npt.ArrayLike, picture: Gray, margin: int) -> tuple[npt.NDAr
     return place, at[place]
 
 
-def _windows(picture: F32, at: npt.NDArray[Any], half: int, wider: int = 0) -> F32:
-    """Return windows around (N, 2) points, each flat, with (2 half + 1) rows and 2 ``wider`` more columns than rows."""
-    if not len(at):
-        return np.empty((0, (2 * half + 1) * (2 * (half + wider) + 1)), np.float32)
-    dy, dx = np.mgrid[-half : half + 1, -half - wider : half + wider + 1].reshape(2, -1).astype(np.float32)
-    x = (at[:, :1] + dx).astype(np.float32)
-    y = (at[:, 1:] + dy).astype(np.float32)
-    return sampled(picture, x, y, cv2.INTER_CUBIC)
-
-
-def _normalised(windows: F32) -> F32:
-    """Subtract each window's mean and divide by its length; windows without texture become zero."""
-    centred = windows - windows.mean(axis=1, keepdims=True)
-    length = np.sqrt(np.einsum("ij,ij->i", centred, centred))[:, None]
-    flat = length < 2.0 * np.sqrt(windows.shape[1])
-    return np.asarray(np.where(flat, 0.0, centred / np.where(flat, 1.0, length)), np.float32)
-
-
-def _agreeing(query: F32, disparity: F32, at: F32, theirs: F32, max_slope: float) -> npt.NDArray[np.intp]:
-    """Count for each query how many of the eight nearest matches have a consistent disparity."""
-    if not len(at):
-        return np.zeros(len(query), np.intp)
-    near = kernels.nearest(query, at)
-    distance = np.hypot(*np.moveaxis(query[:, None] - at[near], 2, 0))
-    fits = np.abs(disparity[:, None] - theirs[near]) <= 1.0 + max_slope * distance
-    return np.asarray((fits & (near >= 0)).sum(axis=1), np.intp)
-
-
 def _guided(
-    left: F32, right: F32, at: F32, matched: F32, disparity: F32, half: int, config: MatchConfig
+    left: F32, right: F32, at: F32, matched: F32, disparity: F32, half: int, config: StereoMatchConfig
 ) -> tuple[npt.NDArray[np.intp], F32, F32]:
     """Search the right image for corners that were found only in the left one, near their neighbours' disparity.
 
@@ -292,7 +200,7 @@ def _guided(
     which = np.flatnonzero(at[:, 0] - expected > half + _SEARCH + 2)
     at, column = at[which], np.round(at[which, 0] - expected[which]).astype(np.float32)
     there = np.column_stack([column, at[:, 1]])
-    score = kernels.slid(_normalised(_windows(left, at, half)), _windows(right, there, half, _SEARCH), half)
+    score = kernels.slid(normalised(windows_at(left, at, half)), windows_at(right, there, half, _SEARCH), half)
     best = np.argmax(score, axis=1)
     rows = np.arange(len(at))
     top = score[rows, best]
@@ -300,24 +208,18 @@ def _guided(
     other = np.where(np.abs(places - best[:, None]) > 2, score, -1.0).max(axis=1)
     found = column + best - _SEARCH
     # The search back must lead to the same corner again.
-    seen = _normalised(_windows(right, np.column_stack([found, at[:, 1]]), half))
-    back = kernels.slid(seen, _windows(left, at, half, _SEARCH), half)
+    seen = normalised(windows_at(right, np.column_stack([found, at[:, 1]]), half))
+    back = kernels.slid(seen, windows_at(left, at, half, _SEARCH), half)
     good = (np.abs(np.argmax(back, axis=1) - _SEARCH) <= 1) & (top >= config.min_correlation)
     good &= ((1 - top + _NOISE) <= config.max_ratio * (1 - other + _NOISE)) & (best > 0) & (best < 2 * _SEARCH)
     offset = at[:, 0] - found
     if config.min_agreeing:
-        good &= _agreeing(at, offset, matched, disparity, config.max_slope) >= config.min_agreeing
+        good &= agreeing(at, offset, matched, disparity, config.max_slope) >= config.min_agreeing
     return which[good], offset[good], top[good].astype(np.float32)
 
 
-_SMALL_PASSES = ((3.0, 0.4), (np.inf, 0.5))
-"""Range beyond the neighbours' disparities that is searched, and minimum correlation: first near the neighbours, then
-along the whole row. The probability decides later, for all matches alike."""
-_SMALL_HALF = 2
-
-
 def _with_small_windows(
-    matches: Matches,
+    matches: StereoMatches,
     left: F32,
     right: F32,
     corners: F32,
@@ -325,7 +227,7 @@ def _with_small_windows(
     limits_px: tuple[float, float],
     reach_px: float,
     least: float,
-) -> Matches:
+) -> StereoMatches:
     """Search corners without a match by small windows along the row, in both directions.
 
     Small windows contain a depth edge less often, and reach nearer to the image border.
@@ -341,70 +243,13 @@ def _with_small_windows(
     rough, score = kernels.along_rows(left, right, at, low, high, _SMALL_HALF, least)
     found = np.flatnonzero(np.isfinite(rough))
     rest, at, rough, score = rest[found], at[found], rough[found], score[found]
-    better, sigma = _refined(left, right, at, rough.astype(np.float64), _SMALL_HALF)
+    better, sigma = refined(left, right, at, rough.astype(np.float64), _SMALL_HALF)
     steady = (np.abs(better - rough) < 1.0) & (better >= limits_px[0]) & (better <= limits_px[1])
     index = np.column_stack([rest, np.full(len(rest), -1)])[steady]
-    return Matches(
+    return StereoMatches(
         left_px=np.r_[matches.left_px, at[steady].astype(np.float64)],
         disparity_px=np.r_[matches.disparity_px, better[steady]],
         sigma_px=np.r_[matches.sigma_px, np.hypot(sigma[steady], _FLOOR_PX)],
         correlation=np.r_[matches.correlation, score[steady].astype(np.float64)],
         index=np.r_[matches.index, index],
     )
-
-
-_JUDGED_HALF, _CENSUS_HALF, _CENSUS_NOISE = 2, 3, 4.0
-_NEAR_SLOPE = 0.02
-_WEIGHTS = np.array([3.62, 12.17, -0.74, 4.44, -16.42])
-"""Weights of correlation, census, log of the uncertainty in px, share of agreeing neighbours, and 1. They come from a
-logistic regression over the matches of eight pairs made from photographs other than the evaluated ones."""
-
-
-def _probability(left: F32, right: F32, matches: Matches) -> Array:
-    """Return the probability (N,) that a match is correct within one pixel."""
-    at, disparity = matches.left_px.astype(np.float32), matches.disparity_px.astype(np.float32)
-    there = at - np.column_stack([disparity, np.zeros_like(disparity)])
-    alike = np.einsum("nk,nk->n", *(_normalised(_windows(p, q, _JUDGED_HALF)) for p, q in ((left, at), (right, there))))
-    here, other = (_windows(p, q, _CENSUS_HALF) for p, q in ((left, at), (right, there)))
-    middle = here.shape[1] // 2
-    brighter = here - here[:, middle : middle + 1]
-    clear = np.abs(brighter) > _CENSUS_NOISE
-    same = (brighter > 0) == (other > other[:, middle : middle + 1])
-    census = (same & clear).sum(axis=1) / np.maximum(clear.sum(axis=1), 1)
-    near = _agreeing(at, disparity, at, disparity, _NEAR_SLOPE) / 8
-    told = np.column_stack([alike, census, np.log(matches.sigma_px), near, np.ones(len(at))])
-    return np.asarray(1.0 / (1.0 + np.exp(-told @ _WEIGHTS)))
-
-
-def _chosen(matches: Matches, which: npt.NDArray[np.bool_]) -> Matches:
-    return Matches(
-        left_px=matches.left_px[which],
-        disparity_px=matches.disparity_px[which],
-        sigma_px=matches.sigma_px[which],
-        correlation=matches.correlation[which],
-        index=matches.index[which],
-    )
-
-
-_SEARCH = 8
-"""Columns around the expected position in which a corner without partner is searched."""
-
-_MARGIN = 5
-"""Columns of a strip of the right image on each side of its window."""
-
-
-def _refined(left: F32, right: F32, at: F32, rough_px: npt.NDArray[Any], half: int) -> tuple[Array, Array]:
-    """Refine disparities by Gauss-Newton over shift, slant along x and y, gain and offset of the window.
-
-    Returns
-    -------
-    disparity_px, sigma_px
-        (N,) each; NaN if the windows do not determine them.
-    """
-    if not len(at):
-        return np.empty(0), np.empty(0)
-    partner = at[:, 0].astype(np.float64) - rough_px
-    column = np.floor(partner)
-    strips = _windows(right, np.column_stack([column, at[:, 1]]), half, _MARGIN)
-    moved, sigma = kernels.gauss_newton(_windows(left, at, half), strips, partner - column, half, 6).T
-    return rough_px - moved, sigma

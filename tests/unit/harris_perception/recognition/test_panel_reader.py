@@ -12,7 +12,8 @@ from unit.harris_perception.bench_scene import AWAY, LAYOUT, PERIOD_NS, SCOPES, 
 from harris_perception.core.corners.harris import HarrisDetector
 from harris_perception.core.image.gray import gray_of
 from harris_perception.core.recognition.face_patches import Patches
-from harris_perception.core.recognition.panel_state import HUES
+from harris_perception.core.recognition.own_shadow import own_shadow
+from harris_perception.core.recognition.panel_reader import HUES
 from harris_perception.core.recognition.recognition import PanelRecogniser
 from icu_common.core.geometry.geometry import Transform
 from icu_common.core.panel.panel_layout import load_layout
@@ -144,13 +145,13 @@ def test_an_arm_that_passes_the_camera_hides_all_up_to_the_pictures_edge() -> No
     assert not np.isfinite(pixels).all() and len(seen) > 20
 
     before = time.process_time()
-    shadow = scene.reader._own_shadow(pose, scene.camera, pose.apply(tip))
+    shadow = own_shadow(pose, scene.camera, pose.apply(tip), scene.reader.config)
     assert time.process_time() - before < 2.0
     assert shadow[seen[:, 1], seen[:, 0]].all()
     beside = pixels[np.isfinite(pixels).all(axis=1)] + (160.0, 0.0)
     beside = beside[((beside >= 0) & (beside <= (1279, 300))).all(axis=1)].round().astype(int)
     assert len(beside) and not shadow[beside[:, 1], beside[:, 0] + 100].any()
-    assert not scene.reader._own_shadow(pose, scene.camera, np.full(3, np.nan)).any()
+    assert not own_shadow(pose, scene.camera, np.full(3, np.nan), scene.reader.config).any()
 
 
 def test_a_hand_hides_what_it_lies_on_and_nothing_else() -> None:
