@@ -17,7 +17,7 @@ PACKAGES = ("gantry_driver", "harris_perception", "icu_common", "scope_ui_bridge
 
 ONLY_ELSEWHERE = {
     "command line programs": (
-        *("gcode_check", "progress", "monitor", "check_mode", "board", "board_detection"),
+        *("gcode_check", "gcode_words", "progress", "monitor", "check_mode", "board", "board_detection"),
         *("wrist_camera", "wrist_motion", "ball_measurement"),
         *("stereo_evaluation", "dense_stereo", "repeatability", "capture", "text_bounds"),
         *("stereo_folders", "picture_files", "stereo_calibration", "boundary_files", "boundary_evaluation"),
