@@ -1571,7 +1571,9 @@ def test_a_stop_and_a_lost_operator_end_a_pause() -> None:
         assert rig.machine.homed
 
 
-def test_a_stop_just_after_a_resume_trusts_no_hold_from_before_it() -> None:
+@pytest.mark.parametrize("late", [1, 2, 3, 6])
+def test_a_stop_just_after_a_resume_trusts_no_hold_from_before_it(late: int) -> None:
+    """A busy computer delivers several reports from before the resume at once."""
     rig = Rig().homed()
     rig.go((0.1, 0.1, 0.03), (0.3, 0.1, 0.03))
     rig.until(lambda: rig.board.mpos[0] > HOMED[0] + 110.0)
@@ -1584,7 +1586,7 @@ def test_a_stop_just_after_a_resume_trusts_no_hold_from_before_it() -> None:
     rig.machine.receive(f"{paused}\r\n".encode(), rig.now)  # asked for again: `~` waits to be written
     rig.board.write(b"!")
     rig.machine.stop("stop requested", rig.now, hold_written=True)
-    rig.machine.receive(f"{paused}\r\n".encode(), rig.now)
+    rig.machine.receive(late * f"{paused}\r\n".encode(), rig.now)
     rig.until(lambda: rig.machine.phase.name == "STOPPED")
     assert rig.machine.homed and rig.board.mpos[2] == pytest.approx(HOMED[2])
     resumed = [t for t, code in rig.board.realtime if code == ord("~")]

@@ -20,8 +20,9 @@ from icu_common.core.goals.results import Outcome
 
 LIFTS = 2
 """Maximum number of repeated retreats after a retreat that did not go up."""
-OLD_HOLDS = 2
-"""Number of reports of a hold that may still arrive after a resume: one in transit, one requested."""
+OLD_HOLDS_S = 0.15
+"""Minimum seconds between the first and the believed report of a hold just after a resume: on a busy computer, reports
+from before the resume arrive late, and together."""
 SAME_PLACE_MM = 0.05
 SWITCHED_OFF_BY = dict.fromkeys((Dialect.GRBL, Dialect.GRBLHAL), frozenset((1, 2, 3, 6, 7, 8, 9, 10)))
 """Alarms that switch coolant and spindle off at once; at others, and on FluidNC, only the reset after them does."""
@@ -37,7 +38,9 @@ class Stopping(BoardSettings):
         self._lift = True
         self._lift_barred = False
         self._lift_timeout_s = 0.0
-        self._old_holds = 0
+        self._hold_doubted = False
+        """Whether a reported hold may be older than the last resume."""
+        self._hold_seen_at: float | None = None
         self._stood_mm: tuple[float, ...] | None = None
         """Position of the board in the last report before a stop's reset; None if the report had none."""
         self._stood_at = 0.0
@@ -115,7 +118,7 @@ class Stopping(BoardSettings):
             self._enter(Phase.RESETTING, now, reason)
             self.session.soft_reset(now)
             return
-        self._old_holds = OLD_HOLDS if self._resuming else 0
+        self._hold_doubted, self._hold_seen_at = self._resuming, None
         self.session.withdraw(RESUME)
         if not hold_written or self._resuming:  # a `~` may follow the hold that has been written
             self.session.realtime(HOLD)
@@ -196,9 +199,8 @@ class Stopping(BoardSettings):
     # --- reports during a stop ---------------------------------------------------------------------------------------
 
     def _report_holding(self, report: Report, now: float) -> None:
-        if report.state == "Hold" and self._old_holds:
-            # The report may be older than the resume: a reset now could hit a moving board and lose its position.
-            self._old_holds -= 1
+        if report.state == "Hold" and self._is_old_hold(now):
+            # A reset now could hit a moving board and lose its position.
             self.session.poll_now()
         elif report.state == "Alarm" and self.homed:
             self._to_alarm(LOCKED, now)
@@ -208,6 +210,13 @@ class Stopping(BoardSettings):
                 self._reset_after_hold(now)
         elif report.state in ("Alarm", "Sleep", "Tool") or report.substate == 0 or report.state_text == "Door:1":
             self._reset_after_hold(now)
+
+    def _is_old_hold(self, now: float) -> bool:
+        """Return whether a reported hold may be older than the resume."""
+        if not self._hold_doubted:
+            return False
+        self._hold_seen_at = now if self._hold_seen_at is None else self._hold_seen_at
+        return now - self._hold_seen_at < OLD_HOLDS_S
 
     def _report_resetting(self, report: Report, now: float) -> None:
         if self.session.awaiting_banner:
