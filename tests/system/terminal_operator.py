@@ -72,7 +72,8 @@ class Operator:
             60.0,
             lambda: f"state {self.state!r}, told {self.told}; {tail()}",
         )
-        if self.node.count_publishers("/clock"):
+        # The controller is known by now, its source of time perhaps not yet.
+        if self.node.count_publishers("/clock") or self.node.count_subscribers("/clock"):
             self.node.set_parameters([Parameter("use_sim_time", value=True)])
             self.ros.spin_until(lambda: self.node.get_clock().now().nanoseconds > 0, 10.0)
 

@@ -210,7 +210,10 @@ class OperatorSession:
 
     def follow_clock_topic(self, until: float) -> None:
         """Take ROS time from ``/clock`` if the graph does, so that a goal's stamp is in the graph's time."""
-        if self.node.count_publishers(self.node.resolve_topic_name(CLOCK_TOPIC)) and not runs_by_clock_topic(self.node):
+        clock = self.node.resolve_topic_name(CLOCK_TOPIC)
+        # The controller is known by now, its source of time perhaps not yet.
+        simulated = self.node.count_publishers(clock) or self.node.count_subscribers(clock)
+        if simulated and not runs_by_clock_topic(self.node):
             self.node.set_parameters([Parameter("use_sim_time", value=True)])
             self.wait_for(lambda: self.now_ns() > 0, until, lambda: "no time on /clock: does the simulation run?")
             self._followed = (time.monotonic(), self.now_ns())
