@@ -28,7 +28,7 @@ NO_PANEL = {"envelope.free_space_m": 0.06, "envelope.crossing_m": 0.06}
 
 
 class Operator:
-    """What stands on the other side of the driver's topics."""
+    """A client of the driver's topics: it sends goals and collects states and results."""
 
     def __init__(self, ros: Any, board: GrblBoard, name: str = "operator") -> None:
         self.ros, self.board = ros, board

@@ -25,7 +25,7 @@ NOMINAL = load_layout(CONFIG / "scopes" / "dso_bench_4.yaml")
 
 
 def made(seed: int, place_mm: float, height_mm: float) -> PanelLayout:
-    """Return a panel whose proud controls are off their layout by up to so much."""
+    """Return a panel whose proud controls deviate from their layout by at most the given distances."""
     rng = np.random.default_rng(seed)
     controls = []
     for control in NOMINAL.controls:

@@ -1,4 +1,4 @@
-"""Tasks of the event loop that somebody must keep, or they would be collected."""
+"""References to tasks of the event loop, which keeps none: without one, Python may collect a running task."""
 
 from __future__ import annotations
 

@@ -571,7 +571,7 @@ def test_hidden_tip_is_allowed_when_servoing_is_not_required() -> None:
     bench = Bench(config(require_servo=False)).start()
     bench.talking -= {"tip"}
     result = bench.do("press:RUN_STOP")
-    # It is touched, but what nobody has seen is not reached.
+    # The control is touched, but without a sighting the goal is not reached.
     assert result.outcome is Outcome.ABORTED and math.isnan(result.error_m)
     assert result.touch is Felt.UNKNOWN and result.code == "contact_unknown"
     assert dict(result.details)["measured_by"] == "nothing"

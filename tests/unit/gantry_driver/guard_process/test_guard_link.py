@@ -152,7 +152,7 @@ def test_a_command_gets_its_answer_and_a_late_one_of_another_is_ignored(make: Ca
     rig.connect()
     thread, result = elsewhere(lambda: rig.link.ask("reset"))
     asked = rig.next("reset")
-    rig.say(id=asked["id"] + 40, value="an answer that nobody waits for")
+    rig.say(id=asked["id"] + 40, value="an answer without a question")
     rig.say(id=asked["id"], value="nothing to reset")
     thread.join(WITHIN_S)
     assert result == ["nothing to reset"] and not rig.link._answers

@@ -372,7 +372,7 @@ def test_what_a_node_does_not_read_is_kept_up_to_a_bound(make: Callable[..., Rig
 
 def test_bytes_for_a_node_that_has_gone_are_dropped(make: Callable[..., Rig]) -> None:
     rig = make()
-    rig.guard._send(b"for nobody")
+    rig.guard._send(b"without a node")
     node = rig.node()
     rig.turn()
     node.close()

@@ -13,7 +13,7 @@ NO_WALLS = (0.0, 0.0)
 
 
 def side(edges: dict[float, float]) -> Array:
-    """Return a profile, measured outward, with steps of so many grey values at places in mm."""
+    """Return a profile, measured outward, with a step of grey values at each given place in mm."""
     return np.asarray(150.0 + sum(grey * _step((STEPS_MM - at) / 0.3) for at, grey in edges.items()))
 
 

@@ -1,4 +1,4 @@
-"""The rooms in config/rooms: what they hold is accepted, and the bench stands in the chosen one."""
+"""The rooms in config/rooms: the bench accepts their parameters, and uses those of the chosen room."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def test_there_are_three_rooms_and_ideal_is_the_bench_without_effects() -> None:
 def test_rooms_switch_effects_on(name: str) -> None:
     enabled = {effect for effect, settings in effects_of(room(name)) if settings.enabled}
     assert {"imaging.calibration", "imaging.jpeg", "imaging.bayer", "imaging.free_running"} <= enabled
-    assert "imaging.knock" not in enabled, "nobody hits a camera unless a test does"
+    assert "imaging.knock" not in enabled, "only a test knocks against a camera"
 
 
 def test_every_value_has_its_reason_beside_it() -> None:

@@ -122,7 +122,7 @@ def test_signing_out_ends_the_session_and_its_connections(meanwhile: str) -> Non
             await client.until(lambda m: m["type"] == "state" and m["moving"])
             async with client.session.post("/sign-out", headers=client.origin) as answer:
                 assert answer.status == 401
-                assert 'data-problem=""' in await answer.text(), "who has signed out knows it"
+                assert 'data-problem=""' in await answer.text(), "a person who signs out sees no warning"
             await asyncio.wait_for(ends(rig, client), WITHIN_S)
             await until(lambda: rig.desk.lease.holder == "", "the lease is free")
             assert len(rig.graph.named("stop")) == 1

@@ -99,7 +99,7 @@ def test_the_overlay_comes_with_the_first_picture_and_again_when_the_panel_moves
             rig.offer()
             about, _ = await client.frame()
             assert about["panel"]["version"] == rig.desk.scene.version
-        await until(lambda: rig.server.video.wanted == frozenset(), "nobody looks any more")
+        await until(lambda: rig.server.video.wanted == frozenset(), "no page shows a camera any more")
 
     with_rig(scenario)
 

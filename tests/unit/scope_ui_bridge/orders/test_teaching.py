@@ -65,7 +65,7 @@ def test_a_picture_is_held_and_what_was_pointed_at_goes_to_perception() -> None:
     assert (message.message["type"], message.message["ok"]) == ("taught", True)
     assert message.message["layout"] == "/x/pump_2.yaml" and message.message["start"] == "bring_up --scope pump_2"
     assert of_type(effects, Record)[0].record["result"] == "reached"
-    assert ada.rig.desk.answers.taught(done, ada.rig.now) == [], "an answer that nobody waits for"
+    assert ada.rig.desk.answers.taught(done, ada.rig.now) == [], "an answer without a question"
 
 
 def test_without_an_answer_it_is_given_up() -> None:

@@ -158,6 +158,6 @@ def check_left_out(used: npt.NDArray[np.bool_], config: HandEyeConfig) -> None:
     if len(left_out) > config.max_outliers * len(used) or int(used.sum()) < config.min_samples:
         numbers = ", ".join(str(i + 1) for i in left_out)
         raise MisfitError(
-            f"{len(left_out)} of {len(used)} samples do not fit the rest (numbers {numbers}): the tip was seen wrongly "
-            "there, or the drive slipped; add samples in other places or start anew"
+            f"{len(left_out)} of {len(used)} samples do not fit the rest (numbers {numbers}): the cameras measured "
+            "the tip wrongly there, or the drive slipped; take samples in other places, or start again"
         )
