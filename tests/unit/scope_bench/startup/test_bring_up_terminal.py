@@ -91,6 +91,9 @@ class Demo:
         self.master, other = pty.openpty() if terminal else os.pipe()
         if terminal:
             fcntl.ioctl(other, termios.TIOCSWINSZ, struct.pack("HHHH", ROWS, COLUMNS, 0, 0))
+            settings = termios.tcgetattr(other)
+            settings[3] |= termios.NOFLSH  # otherwise Ctrl-C discards what the terminal has not shown yet
+            termios.tcsetattr(other, termios.TCSANOW, settings)
         stdin = other if terminal else subprocess.DEVNULL
         self.process = subprocess.Popen(
             command,
