@@ -158,7 +158,7 @@ def press(graph: RunningGraph, control: str) -> dict[str, float]:
         If it was not reached, with the program's output.
     """
     done = graph.command("gantry_driver", "gantry_goal", "--control", control)
-    found = re.search(r"reached: .* error ([\d.]+) mm.* ([\d.]+) s", done.stdout)
+    found = re.search(r"reached(?: \(\w+\))?: .* error ([\d.]+) mm.* ([\d.]+) s", done.stdout)
     if done.returncode != 0 or found is None:
         raise RuntimeError(f"{control} was not pressed: {done.stdout}{done.stderr}")
     return {"error_mm": float(found[1]), "duration_s": float(found[2])}
