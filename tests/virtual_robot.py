@@ -243,7 +243,11 @@ class VirtualRobot:
         period_ns = 1e9 * self.pair.config.period_s
         if stamp - self._pair_ns < period_ns - 1 and self.pair.state.code is not PairCode.CHANGING:
             return
-        if self.pair.look(gray, cv2.cvtColor(right, cv2.COLOR_BGR2GRAY), pose, stamp):
+        gray_right = cv2.cvtColor(right, cv2.COLOR_BGR2GRAY)
+        if self.pair.unchanged(gray, gray_right, stamp):
+            self._pair_ns = stamp
+            self._tell(msg.PairSeen(pair=self.pair.state))
+        elif self.pair.look(gray, gray_right, pose, stamp):
             self._pair_ns = stamp
             self.tracker.recalibrate(self.pair.cameras)
             self._free_tips.forget()

@@ -7,6 +7,7 @@ hardly helps. A measurement that differs from the previous ones must repeat befo
 
 from __future__ import annotations
 
+import dataclasses
 from collections import deque
 from collections.abc import Iterator
 
@@ -17,12 +18,15 @@ import numpy.typing as npt
 from harris_perception.core.alignment.pair_config import PairConfig
 from harris_perception.core.alignment.pair_rotation import PairRotation, SideView, measure_rotation, turned_right
 from harris_perception.core.recognition.face_measurement import FaceMeter
+from harris_perception.core.recognition.still_panel import StillPanel
 from icu_common.core.alignment.pair import PairCode, PairState
 from icu_common.core.geometry.camera_model import CameraModel, StereoModel
 from icu_common.core.geometry.geometry import Array, Transform
 
 _BLUR_EVERY = 20
 """Number of measurements between two measurements of each image's blur, which changes slowly."""
+_UNCHANGED = 3
+"""Maximum number of successive unchanged pairs that are not measured; a change too small to see is found after them."""
 Gray = npt.NDArray[np.uint8]
 
 
@@ -46,6 +50,7 @@ class PairWatch:
         self._others: deque[PairRotation] = deque(maxlen=config.window)
         self._blur_px = [0.0, 0.0]
         self._looks = 0
+        self._still = tuple(StillPanel(meter.layout, _UNCHANGED) for _ in range(2))
         self.views: tuple[Gray, Gray] | None = None
         """Rectified images of the latest measured pair."""
         self.camera_from_panel: Transform | None = None
@@ -53,6 +58,18 @@ class PairWatch:
         self.state = PairState()
         self.cameras = cameras
         """Calibration corrected by the rotation that counts."""
+
+    def unchanged(self, left: Gray, right: Gray, stamp_ns: int) -> bool:
+        """Return whether a pair of raw grey images (H, W) shows the panel as the last measured pair did.
+
+        The state then holds for this pair too, and gets its stamp. While measurements differ or are few, each pair
+        counts as changed.
+        """
+        settled = len(self._agreeing) == self.config.window and not self._others
+        if not settled or not all(still.unchanged(gray) for still, gray in zip(self._still, (left, right))):
+            return False
+        self.state = dataclasses.replace(self.state, stamp_ns=stamp_ns)
+        return True
 
     def look(self, left: Gray, right: Gray, camera_from_panel: Transform, stamp_ns: int) -> bool:
         """Measure one pair of raw grey images; return whether it could be measured.
@@ -82,6 +99,8 @@ class PairWatch:
         self.views, self.camera_from_panel = (images[0], images[1]), found.camera_from_panel
         self._take(found)
         self._judge(stamp_ns)
+        for side, (gray, camera) in enumerate(zip((left, right), (self._cameras.left, self._cameras.right))):
+            self._still[side].measured(gray, self._seen_from(side, found.camera_from_panel), camera)
         return True
 
     def _sides(self, images: list[Gray], camera_from_panel: Transform) -> Iterator[SideView]:

@@ -97,9 +97,12 @@ class PanelCheck:
         # A camera that moves is measured twice as often.
         hurry = 0.5 if pair.state.code is PairCode.CHANGING else 1.0
         self._next_ns = stamp + round(1e9 * hurry * self._config.pair.period_s)
+        head = header(stamp, CAMERA_LEFT)
+        if pair.unchanged(left, right, stamp):
+            self._pair_out.publish(pair_message(pair.state, head))
+            return
         if not pair.look(left, right, self._pose, stamp):
             return
-        head = header(stamp, CAMERA_LEFT)
         self._on_change(pair.cameras)
         self._pair_out.publish(pair_message(pair.state, head))
         if pair.views is not None and pair.camera_from_panel is not None and pair.state.known:
