@@ -6,7 +6,8 @@ import os
 from collections.abc import Callable
 
 import pytest
-from unit.gantry_driver.guard_rig import Rig, pressing
+from deadlines import wait_until
+from unit.gantry_driver.guard_rig import NotedLink, Rig, pressing
 
 from gantry_driver.adapters.guard import server as server_module
 from gantry_driver.adapters.guard.places import stylus_path
@@ -390,3 +391,36 @@ def test_closing_twice_and_a_stop_file_that_has_gone_do_no_harm(make: Callable[.
     rig.guard._close("first")
     rig.guard._close("second")
     assert rig.guard._link is None and rig.guard._stops is None
+
+
+class StoppingLink(NotedLink):
+    """Needs some time of the guard's clock to stop its machine, as the machine itself does."""
+
+    def __init__(self, clock: Callable[[], float]) -> None:
+        super().__init__()
+        self._clock = clock
+
+    def close(self, reason: str) -> None:
+        super().close(reason)
+        begin_s = self._clock()
+        wait_until(lambda: self._clock() > begin_s + 0.01, "time passes while the machine stops", 5.0)
+
+
+@pytest.mark.parametrize("message", ["close", "hello"])
+def test_simulated_time_passes_while_a_link_stops_its_machine(make: Callable[..., Rig], message: str) -> None:
+    rig = make()
+    node = rig.node()
+    rig.turn()
+    rig.hello(node, time_s=12.5)
+    assert rig.guard._link is not None
+    rig.guard._link.close("the test gives it another one")
+    link = StoppingLink(rig.guard._clock)
+    rig.guard._link = link  # type: ignore[assignment]
+    if message == "close":
+        node.sendall(frame({"do": "close", "reason": "the driver is ending"}))
+        assert {"closed": True} in rig.received(node) and link.closed == "the driver is ending"
+    else:
+        rig.hello(node, time_s=12.5, config=DriverConfig(port=str(rig.folder / "other")))
+        assert link.closed == "another configuration"
+        begin_s = rig.guard._clock()
+        assert begin_s > 12.5 and rig.guard._clock() == begin_s, "it follows the node's steps again"

@@ -201,7 +201,7 @@ class Guard:
         self._bind_stops(message["stop_path"])
         link, machine = self._link, self._machine
         if link is not None and machine is not None and _fixed(config) != _fixed(machine.config):
-            link.close("another configuration")
+            self._close_link(link, "another configuration")
             link = machine = None
         if link is None or machine is None:
             enabled, active, left_down = message["enabled"], message["active"], bool(message["left_down"])
@@ -349,11 +349,17 @@ class Guard:
                     node.shutdown(socket.SHUT_RDWR)
                 self._unsent.clear()
 
+    def _close_link(self, link: SerialLink, reason: str) -> None:
+        """Close a link; no step of a node is read meanwhile, and the machine needs time to stop and to lift."""
+        self._clock.leave()
+        link.close(reason)
+        self._clock.rejoin()
+
     def _close(self, reason: str) -> None:
         link, self._link, self._machine = self._link, None, None
         if link is not None:
             in_order = link.alive
-            link.close(reason)
+            self._close_link(link, reason)
             if in_order and self._record_path is not None:
                 self._record_path.unlink(missing_ok=True)
         if self._own_record is not None:
