@@ -226,6 +226,35 @@ def test_silence_of_the_camera_counts_as_loss(ros: Any) -> None:
     assert rig.confidences[-1].data == 0.0
 
 
+def test_a_node_that_was_held_up_looks_at_the_waiting_pictures_before_it_loses_the_panel(ros: Any) -> None:
+    rig = Rig(ros, **{"recognition.agreement.frames": 1, "silence_s": 0.5})
+    assert rig.show(picture(), 1) > 0.85
+    now_s = [rig.node._seconds()]
+    rig.node._seconds = lambda: now_s[0]
+    rig.node._on_tick()
+    for held_up_s in (3.0, 0.1, 0.1, 0.1, 0.1):
+        now_s[0] += held_up_s
+        rig.node._on_tick()
+        assert rig.node._confidence > 0.85, "its pictures may still wait"
+    now_s[0] += 0.19
+    rig.node._on_tick()
+    assert rig.node._confidence == 0.0, "it was in time for 0.5 s, and there was none"
+
+
+def test_a_node_that_is_held_up_all_the_time_loses_the_panel_in_the_end(ros: Any) -> None:
+    rig = Rig(ros, **{"recognition.agreement.frames": 1, "silence_s": 0.5})
+    assert rig.show(picture(), 1) > 0.85
+    now_s = [rig.node._seconds()]
+    rig.node._seconds = lambda: now_s[0]
+    for _ in range(5):
+        now_s[0] += 1.0
+        rig.node._on_tick()
+        assert rig.node._confidence > 0.85
+    now_s[0] += 1.0
+    rig.node._on_tick()
+    assert rig.node._confidence == 0.0
+
+
 def test_pictures_between_the_rate_are_left_out_and_others_refused(ros: Any) -> None:
     rig = Rig(ros, **{"recognition.agreement.frames": 1, "rate_hz": 4.0})
     assert rig.show(picture(), 1) > 0.85

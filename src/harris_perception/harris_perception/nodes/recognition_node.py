@@ -51,6 +51,9 @@ from icu_common.nodes.timers import every, seconds_of
 
 _KEPT_CORNERS = 8
 _TICK_S = 0.02
+_HELD_UP_S, _LONGEST_EXCUSE_S = 0.2, 5.0
+"""Interval of ticks above which this process was held up, so that images may still wait for it; and the longest time
+for which this delays the loss of the panel."""
 _TRACKED = 15
 """Number of successive images with the panel after which the node unsubscribes from corners: tracking needs none."""
 _UNCHANGED = 4
@@ -72,6 +75,7 @@ class RecognitionNode(GraphNode):
         self._corners: OrderedDict[int, npt.NDArray[np.float32]] = OrderedDict()
         self._waiting: tuple[Image, float] | None = None
         self._last_stamp, self._last_seen_s, self._confidence = 0, 0.0, 0.0
+        self._ticked_s = self._in_time_since_s = 0.0
         self._frames = self._with_corners = self._found = self._own_corners = self._tracked = 0
         self._corners_in: Subscription | None = None
         self._busy_s, self._seen, self._refusal = 0.0, (0, 0, 0), ""
@@ -180,9 +184,14 @@ class RecognitionNode(GraphNode):
         return sighting.camera_from_panel
 
     def _on_tick(self) -> None:
+        now_s = self._seconds()
+        if now_s - self._ticked_s > _HELD_UP_S:
+            self._in_time_since_s = now_s
+        self._ticked_s = now_s
         self._try_waiting()
         self._readings.read()
-        if self._confidence > 0 and self._seconds() - self._last_seen_s > self._live.config.silence_s:
+        since_s = max(self._last_seen_s, min(self._in_time_since_s, self._last_seen_s + _LONGEST_EXCUSE_S))
+        if self._confidence > 0 and now_s - since_s > self._live.config.silence_s:
             self.get_logger().warning("no pictures: the panel counts as lost")
             self._recogniser.forget()
             self._still.forget()
