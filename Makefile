@@ -8,7 +8,7 @@ unexport PYTHONDONTWRITEBYTECODE
 VENV := .venv/bin
 INSTALL := ros2_ws/install
 
-.PHONY: help demo test check bench campaign damage matrix noise effects golden soak story docs setup clean picture cover mutants
+.PHONY: help demo test check bench campaign damage matrix noise effects golden interfaces soak story docs setup clean picture cover mutants
 
 help: ## this list
 	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -90,6 +90,10 @@ effects: ## presses under each effect of the simulated bench and its double; EFF
 golden: ## make the golden bag (simulated bench, fixed seed) and the results that tests compare with it
 	@scripts/setup.sh dev
 	@PYTHONPATH=tests:$$PYTHONPATH $(VENV)/python -m golden.make_bag
+
+interfaces: ## write topics, services and parameters of every node anew, with which a test compares the graph
+	@scripts/setup.sh dev
+	@RENEW_INTERFACES=1 $(VENV)/python -m pytest -q tests/system/graph/test_interfaces.py
 
 docs: ## API documentation in artifacts/api; a warning is an error
 	@scripts/setup.sh dev
