@@ -27,7 +27,7 @@ BUILDERS = ("setuptools", "wheel")
 """What pip needs to install a folder of sources; with a network it would fetch both."""
 INSTALL_WITHIN_S, RUN_WITHIN_S = 240.0, 600.0
 
-pytestmark = pytest.mark.timeout(900)  # the detector is compiled in a new environment
+pytestmark = [pytest.mark.timeout(900), pytest.mark.long]  # the detector is compiled in a new environment
 
 
 def libraries_of(package: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
