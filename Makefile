@@ -1,4 +1,4 @@
-# Two commands matter: `make demo` runs the whole robot on a simulated bench, `make test` runs all tests.
+# Two commands matter: `make demo` runs the whole robot on a simulated bench, `make test` tests it.
 # Both set up what they need. PYTHON=python3.12 chooses another interpreter.
 SHELL := /bin/bash
 PYTHON ?= python3
@@ -8,21 +8,43 @@ unexport PYTHONDONTWRITEBYTECODE
 VENV := .venv/bin
 INSTALL := ros2_ws/install
 
-.PHONY: help demo test check bench campaign damage matrix noise effects golden soak story docs setup clean picture cover mutants
+.PHONY: help demo test test-quick test-all test-rest test-long check bench campaign damage matrix noise effects golden interfaces soak story docs setup clean picture cover mutants
 
 help: ## this list
-	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
+	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
 
 demo: ## set up and run the whole robot on the simulated bench; Ctrl-C ends it, VERBOSE=1 prints everything
 	@scripts/setup.sh
 	@exec $(INSTALL)/scope_bench/lib/scope_bench/bring_up --profile bench --prepare $(if $(VERBOSE),--verbose)
 
-# Three at a time on two cores: the tests of nodes wait for much of their time.
-test: ## set up and run all checks and tests
+# Three tiers, each with all of the one before: test-quick, test, test-all. A test's folder and marker (pyproject.toml)
+# say to which it belongs. Three at a time on two cores: the tests of nodes wait for much of their time. Tests that
+# measure times, or use the whole graph, run alone.
+PYTEST := $(VENV)/python -m pytest
+BESIDE := OPENBLAS_NUM_THREADS=1 $(PYTEST) -n 3 --dist loadfile --durations 12
+
+test-quick: ## what is pure, without nodes and without a graph, in two minutes: for each edit
+	@scripts/setup.sh dev
+	@$(BESIDE) -q tests/unit -m "not slow and not long"
+
+test: ## set up, run all checks, and the tests that show that the robot works, with a graph that is really started
 	@scripts/setup.sh dev
 	@$(MAKE) --no-print-directory check
-	@OPENBLAS_NUM_THREADS=1 $(VENV)/python -m pytest tests -m "not alone" -n 3 --dist loadfile --durations 12; small=$$?; \
-		$(VENV)/python -m pytest tests/system -m "alone and not story" --durations 12 && exit $$small
+	@$(BESIDE) tests -m "not long and not alone"; beside=$$?; \
+		$(PYTEST) --durations 12 tests/system -m "not long and alone" && exit $$beside
+
+test-all: test test-rest ## test, and long tests, the page's story, coverage, campaigns, some mutants, a short soak
+
+test-rest: test-long cover ## what test-all has and test has not
+	@$(MAKE) --no-print-directory mutants MUTANTS_OPTIONS="--only silence.py"
+	@$(MAKE) --no-print-directory campaign
+	@$(MAKE) --no-print-directory damage DAMAGE_SEEDS=1000
+	@$(MAKE) --no-print-directory soak SOAK_MINUTES=5
+
+test-long:
+	@scripts/setup.sh dev
+	@$(BESIDE) tests -m "long and not alone"; beside=$$?; \
+		$(PYTEST) --durations 12 tests/system -m "long and alone" && exit $$beside
 
 check: ## lint, formatting, types and import contracts
 	@scripts/setup.sh dev
@@ -90,6 +112,10 @@ effects: ## presses under each effect of the simulated bench and its double; EFF
 golden: ## make the golden bag (simulated bench, fixed seed) and the results that tests compare with it
 	@scripts/setup.sh dev
 	@PYTHONPATH=tests:$$PYTHONPATH $(VENV)/python -m golden.make_bag
+
+interfaces: ## write topics, services and parameters of every node anew, with which a test compares the graph
+	@scripts/setup.sh dev
+	@RENEW_INTERFACES=1 $(VENV)/python -m pytest -q tests/system/graph/test_interfaces.py
 
 docs: ## API documentation in artifacts/api; a warning is an error
 	@scripts/setup.sh dev

@@ -1,8 +1,14 @@
 """Build file of the package; see package.xml for what it is."""
 
+from pathlib import Path
+
 from setuptools import find_packages, setup
 
 NAME = "harris_perception"
+LIBRARIES = ["numpy", "opencv-python-headless", "PyYAML", "numba"]
+COMMON = Path(__file__).resolve().parents[1] / "icu_common"
+# In the project's folder pip installs all that is needed. A package on its own names nothing: rosdep has other names.
+NEEDED = [f"icu_common[libraries] @ {COMMON.as_uri()}", *LIBRARIES] if COMMON.is_dir() else []
 
 setup(
     name=NAME,
@@ -15,8 +21,8 @@ setup(
         ("share/" + NAME + "/launch", ["launch/perception.launch.py"]),
         ("share/" + NAME + "/config", ["config/example.yaml"]),
     ],
-    install_requires=["setuptools"],
-    extras_require={"libraries": ["numpy", "opencv-python-headless", "PyYAML", "numba"]},  # for pip
+    install_requires=["setuptools", *NEEDED],
+    extras_require={"libraries": LIBRARIES},
     zip_safe=True,
     description="Harris corners, stereo matching, hand-eye calibration and panel recognition",
     license="Apache-2.0",

@@ -14,6 +14,8 @@ from campaign.damage_rig import DIRECTIONS, FROM_BOARD, TO_BOARD, DamageRig
 
 from gantry_driver.mock.serial_line import Damage
 
+pytestmark = pytest.mark.long
+
 CELLS = len(NAMES) * len(Damage.kinds)
 SAMPLE = range(CELLS)
 

@@ -16,6 +16,8 @@ from gantry_driver.core.grbl.grbl_messages import Report
 from gantry_driver.core.machine.machine import Machine
 from icu_common.core.goals.results import Outcome
 
+pytestmark = pytest.mark.long
+
 SHORT = 6 * len(FAULTS)
 LINK_FAULTS = ("unplug", "full", "vanishes", "operator stop")
 

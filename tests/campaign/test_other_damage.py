@@ -10,6 +10,8 @@ from campaign.damage_judge import REPORTED, WRONG
 from campaign.damage_rig import DIRECTIONS, FROM_BOARD, TO_BOARD
 from campaign.other_damage import LATE_S, REALTIME, OtherDamage
 
+pytestmark = pytest.mark.long
+
 PIECES = [b"?", b"X1\n", b"?Y2\n", b"Z3\n", b"?", b"?", b"X4\n"]
 STEP_S = 0.15
 SAMPLE = range(0, 121, 11)

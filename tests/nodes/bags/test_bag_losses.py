@@ -35,6 +35,8 @@ from scope_bench.core.bag.account import INCOMPLETE, Account
 from scope_bench.nodes.bag_recorder import BagRecorder
 from scope_bench.nodes.bag_types import installed_hash, type_problem
 
+pytestmark = pytest.mark.long
+
 START_NS = 1_700_000_000_000_000_000
 ROWS = [("/talk", START_NS + i * 10_000_000, text(f"{i}")) for i in range(20)]
 forms = pytest.mark.parametrize("form", FORMS, ids="-".join)

@@ -49,6 +49,8 @@ from scope_bench.nodes.bag_qos import playing_qos, recorded_qos
 from scope_bench.nodes.bag_recorder import BagRecorder
 from scope_bench.nodes.topic_ear import TopicEar
 
+pytestmark = pytest.mark.long
+
 ROOT = Path(__file__).resolve().parents[3]
 WHOLE = QoSProfile(depth=1000)
 """All messages of a test, however long who listens is held up."""

@@ -16,6 +16,8 @@ from scope_bench.adapters.bag.bag_reader import BagReader
 from scope_bench.core.bag.account import INCOMPLETE
 from scope_bench.nodes.bag_qos import message_class
 
+pytestmark = pytest.mark.long
+
 LISTENED = 10_000
 """Messages of a bag that a listener in Python keeps up with."""
 ANY = QoSProfile(depth=30_000, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.VOLATILE)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import pytest
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import CameraInfo
 from unit.harris_perception import panel_scene as scene
@@ -12,6 +13,8 @@ from icu_common.nodes import qos
 from icu_common.nodes.camera_info import CameraInfoSubscription
 from icu_common.nodes.messages.cameras import camera_info_message
 from icu_common.nodes.messages.heads import header
+
+pytestmark = pytest.mark.long
 
 START = 1_700_000_000_000_000_001
 

@@ -12,6 +12,8 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from icu_common.nodes import graph_node, qos
 from icu_common.nodes.admission.message_sizes import MAX_BYTES
 
+pytestmark = pytest.mark.long
+
 
 def trajectory(points: int) -> JointTrajectory:
     return JointTrajectory(points=[JointTrajectoryPoint(positions=[0.1, 0.2, 0.3])] * points)

@@ -30,6 +30,8 @@ from icu_common.nodes import qos
 from icu_common.nodes.messages.heads import stamp_ns
 from icu_common.nodes.messages.results import result_message
 
+pytestmark = pytest.mark.long
+
 
 class Program:
     """A command line program beside the test's own nodes, in the same ROS domain."""

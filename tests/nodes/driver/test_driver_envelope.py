@@ -17,6 +17,8 @@ from gantry_driver.nodes.serial_driver_node import SerialDriverNode
 from icu_common.core.goals.results import GoalResult
 from icu_common.nodes.qos import LATCHED
 
+pytestmark = pytest.mark.long
+
 FACE_M = 0.035
 DOWN_M = FACE_M + 0.001
 PLANE = PanelPlane(at_m=(0.18, 0.11, FACE_M), slope=(0.0, 0.0), covariance=(1e-8, 0, 0, 0, 0, 0, 0, 0, 0))

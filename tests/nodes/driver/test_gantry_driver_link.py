@@ -21,6 +21,8 @@ from gantry_driver.adapters import serial_link
 from gantry_driver.core.configuration.machine_config import DriverConfig
 from gantry_driver.core.machine.machine import Machine
 
+pytestmark = pytest.mark.long
+
 HOMED = (-359.0, -219.0, -1.0)
 Start = Callable[..., tuple[GrblBoard, LinkRig]]
 

@@ -26,6 +26,8 @@ from gantry_driver.adapters.check_mode import CheckFailed, dry_run
 from gantry_driver.cli.gantry_gcode import main
 from gantry_driver.core.grbl.settings_profile import parse_profile, profile_text
 
+pytestmark = pytest.mark.long
+
 GOOD = ["; a square", "G21 G90", *(f"G53 G1 X{-300 - 10 * k} Y-100 F9000" for k in range(5)), "G53 G0 X-359 Y-219"]
 PATIENCE = ("--params", str(Path(__file__).with_name("patient_driver.yaml")))
 

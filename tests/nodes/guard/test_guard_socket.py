@@ -22,6 +22,8 @@ from gantry_driver.core.states.machine_states import Answered, Event, StateChang
 from icu_common.adapters.direct_stop.line import guard_folder, received_stop, send_stop
 from icu_common.core.geometry.frames import JOINTS
 
+pytestmark = pytest.mark.long
+
 PRESSED_M = 0.02
 PRESSING_S = 2.0
 """Maximum seconds until the stylus leaves the panel, whatever the cause."""

@@ -22,6 +22,8 @@ from icu_common.nodes.messages.places import point_message
 from scope_bench.core.instrument import InstrumentState
 from scope_bench.core.renderer import Moment
 
+pytestmark = pytest.mark.long
+
 BUTTON = LAYOUT.control("RUN_STOP")
 FRAME = 66_000_000
 """Between two pictures, of which recognition looks at every fourth or so, and the tracker at all."""

@@ -32,6 +32,8 @@ from scope_bench.core.configuration import BenchConfig
 from scope_bench.core.optics import stereo_rig
 from scope_bench.core.renderer import Moment, Renderer
 
+pytestmark = pytest.mark.long
+
 WITHIN_S = 60.0
 TIP = (0.16, 0.06, 0.0)
 LAYOUT = CONFIG / "scopes" / "dso_bench_4.yaml"

@@ -25,6 +25,8 @@ from icu_common.nodes.messages.heads import header
 from scope_bench.nodes import beds_node
 from scope_bench.nodes.beds_node import BedsNode
 
+pytestmark = pytest.mark.long
+
 
 def get(address: str) -> bytes:
     with urllib.request.urlopen(address, timeout=5) as answer:

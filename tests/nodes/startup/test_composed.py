@@ -19,6 +19,8 @@ from icu_common.nodes import qos
 from icu_common.nodes.messages.cameras import image_message
 from icu_common.nodes.messages.heads import header
 
+pytestmark = pytest.mark.long
+
 ROOT = Path(__file__).resolve().parents[3]
 
 

@@ -25,6 +25,8 @@ from icu_common.nodes.messages.heads import header
 from icu_common.nodes.messages.places import point_message
 from scope_bench.nodes.beds_node import BedsNode
 
+pytestmark = pytest.mark.long
+
 ROOT = Path(__file__).resolve().parents[3]
 BEDS = ("bed_1", "bed_2")
 

@@ -15,6 +15,8 @@ from pathlib import Path
 import pytest
 from deadlines import wait_until
 
+pytestmark = pytest.mark.long
+
 ROOT = Path(__file__).resolve().parents[3]
 DEADLINE_S = 90.0
 PARTS = ("camera", "corners_left", "corners_right", "stereo", "dense_stereo", "stylus_tracker", "recognition", "bench")

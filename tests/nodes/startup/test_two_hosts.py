@@ -21,6 +21,8 @@ from deadlines import wait_until
 from line_socket import BoardSocket
 from ros_rig import domain_of_worker
 
+pytestmark = pytest.mark.long
+
 ROOT = Path(__file__).resolve().parents[3]
 ROBOT, DESK = "198.51.100.1", "198.51.100.2"  # addresses for documentation (RFC 5737)
 LEASE_S = 10.0

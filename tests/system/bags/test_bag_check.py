@@ -36,7 +36,7 @@ rectification_matrix: {{rows: 3, cols: 3, data: [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0
 projection_matrix: {{rows: 3, cols: 4, data: [300.0, 0.0, 160.0, 0.0, 0.0, 300.0, 120.0, 0.0, 0.0, 0.0, 1.0, 0.0]}}
 """
 
-pytestmark = [pytest.mark.system, pytest.mark.timeout(300)]
+pytestmark = [pytest.mark.system, pytest.mark.timeout(300), pytest.mark.long]
 
 
 def image(stamp: int, number: int, types: Any = TYPES) -> Any:

@@ -82,6 +82,7 @@ def test_the_documentation_replays_it_with_the_same_settings() -> None:
         assert f"`{bag.count - trajectories} messages played`" in text
 
 
+@pytest.mark.long
 def test_no_image_is_dropped_and_speed_changes_nothing(whole: dict[str, TopicMessages], tmp_path: Path) -> None:
     slow = replayed(tmp_path / "run", rate=1.0, duration_s=BEGINNING_S)
     for side in ("left", "right"):

@@ -32,7 +32,7 @@ DEEPEST_MM = 2.0
 """Overtravel of a press, at most: 1 mm is planned, and the panel is measured to some tenths."""
 RECOVERIES = {"stopped": "reset", "alarm": "reset", "unhomed": "home", "mismatch": "write_settings"}
 
-pytestmark = [pytest.mark.system, pytest.mark.alone, pytest.mark.timeout(600 + 60 * MINUTES)]
+pytestmark = [pytest.mark.system, pytest.mark.alone, pytest.mark.timeout(600 + 60 * MINUTES), pytest.mark.long]
 
 
 @pytest.fixture(scope="module")

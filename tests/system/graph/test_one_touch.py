@@ -125,6 +125,7 @@ def targets_mm() -> list[tuple[float, float]]:
     return [(float(x), float(y)) for x, y in dict.fromkeys(places)]
 
 
+@pytest.mark.long
 def test_touch_error_over_the_whole_panel(running_graph: Any, operator: Operator) -> None:
     errors_mm, reported_mm, durations_s, missed = [], [], [], []
     targets = targets_mm()

@@ -18,7 +18,7 @@ from icu_common.core.goals.results import Outcome
 from icu_common.nodes import qos
 from icu_common.nodes.messages.heads import stamp_ns
 
-pytestmark = [pytest.mark.system, pytest.mark.alone, pytest.mark.timeout(300)]
+pytestmark = [pytest.mark.system, pytest.mark.alone, pytest.mark.timeout(300), pytest.mark.long]
 BUSY_PROGRAMS = 16
 WORSE_MM = 0.06
 """Difference of two touches of one place: each touch has images with noise of their own."""

@@ -30,7 +30,7 @@ from system.terminal_operator import Operator
 from icu_common.core.goals.results import Outcome
 from icu_common.nodes import qos
 
-pytestmark = [pytest.mark.system, pytest.mark.alone, pytest.mark.timeout(300)]
+pytestmark = [pytest.mark.system, pytest.mark.alone, pytest.mark.timeout(300), pytest.mark.long]
 UP_M = 0.0005
 WELL = DiagnosticStatus.OK
 GONE = r"{} has ended"

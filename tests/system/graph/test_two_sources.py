@@ -21,7 +21,7 @@ from icu_common.nodes import qos
 from icu_common.nodes.messages.heads import header
 from icu_common.nodes.messages.places import pose_message, transform_of_pose
 
-pytestmark = [pytest.mark.system, pytest.mark.alone, pytest.mark.timeout(600)]
+pytestmark = [pytest.mark.system, pytest.mark.alone, pytest.mark.timeout(600), pytest.mark.long]
 
 OFF_M = 0.010
 DETECTED_WITHIN_S = 1.0

@@ -25,7 +25,7 @@ from icu_common.core.panel.panel_layout import load_layout
 from scope_bench.adapters.bag.bag_reader import BagReader
 
 SHOTS = ROOT / "artifacts" / "story"
-pytestmark = [pytest.mark.browser, pytest.mark.system, pytest.mark.alone, pytest.mark.story, pytest.mark.timeout(900)]
+pytestmark = [pytest.mark.browser, pytest.mark.system, pytest.mark.alone, pytest.mark.long, pytest.mark.timeout(900)]
 
 
 def test_from_the_first_sign_in_to_the_replay(browser: Any, started_graph: RunningGraph, tmp_path: Path) -> None:

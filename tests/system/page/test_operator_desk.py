@@ -26,7 +26,7 @@ from system.page_rig import PERSON, axe, instrument, operator
 
 __all__ = ["instrument", "operator"]  # fixtures
 STARTS_S = 60.0  # on a loaded machine a program is long in starting, and in writing its last
-pytestmark = [pytest.mark.browser, pytest.mark.system, pytest.mark.timeout(300)]
+pytestmark = [pytest.mark.browser, pytest.mark.system, pytest.mark.timeout(300), pytest.mark.long]
 
 
 @pytest.mark.parametrize(("scheme", "size"), [("light", (1280, 800)), ("dark", (820, 1180))])

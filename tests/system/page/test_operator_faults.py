@@ -15,7 +15,7 @@ from system.machine_rig import MachineRig
 from system.operator_browser import Operator
 
 HALT_S = 0.8
-pytestmark = [pytest.mark.browser, pytest.mark.system, pytest.mark.alone, pytest.mark.timeout(300)]
+pytestmark = [pytest.mark.browser, pytest.mark.system, pytest.mark.alone, pytest.mark.timeout(300), pytest.mark.long]
 
 
 class Room:

@@ -21,7 +21,7 @@ from system.synthetic_scope import LAYOUT, camera, panel_pose
 from icu_common.core.panel.panel_layout import load_layout
 
 __all__ = ["instrument", "operator"]  # fixtures
-pytestmark = [pytest.mark.browser, pytest.mark.system, pytest.mark.timeout(300)]
+pytestmark = [pytest.mark.browser, pytest.mark.system, pytest.mark.timeout(300), pytest.mark.long]
 
 
 @pytest.fixture(autouse=True)

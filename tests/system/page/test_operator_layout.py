@@ -13,7 +13,7 @@ from system.page_rig import instrument, operator
 from scope_ui_bridge.adapters.web.front_door import PAGE
 
 __all__ = ["instrument", "operator"]  # fixtures
-pytestmark = [pytest.mark.browser, pytest.mark.system, pytest.mark.timeout(300)]
+pytestmark = [pytest.mark.browser, pytest.mark.system, pytest.mark.timeout(300), pytest.mark.long]
 
 SIZES = {
     "desktop": (1280, 800),

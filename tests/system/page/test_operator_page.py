@@ -15,7 +15,7 @@ from system.conftest import PATIENT
 from system.operator_browser import Operator
 from system.page_instrument import Instrument
 
-pytestmark = [pytest.mark.browser, pytest.mark.system, pytest.mark.timeout(300)]
+pytestmark = [pytest.mark.browser, pytest.mark.system, pytest.mark.timeout(300), pytest.mark.long]
 
 
 @pytest.fixture

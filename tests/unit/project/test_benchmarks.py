@@ -16,6 +16,8 @@ from typing import Any
 
 import pytest
 
+pytestmark = pytest.mark.long
+
 FOLDER = Path(__file__).parents[3] / "benchmarks"
 FILES = (*FOLDER.rglob("bench_*.py"), FOLDER / "robot/soak.py")
 NAMES = sorted(".".join(path.relative_to(FOLDER).with_suffix("").parts) for path in FILES)

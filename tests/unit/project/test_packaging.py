@@ -28,6 +28,8 @@ from scope_bench.adapters.graph_ledger import path_of_graph
 from scope_bench.core.startup.graph_description import GraphError, load_graph
 from scope_bench.export.adapters.reading import LIBRARIES
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).resolve().parents[3]
 PACKAGES = sorted(p.parent for p in ROOT.glob("src/*/package.xml"))
 each_package = pytest.mark.parametrize("package", PACKAGES, ids=lambda p: p.name)

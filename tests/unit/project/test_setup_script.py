@@ -13,6 +13,8 @@ from pathlib import Path
 import pytest
 from deadlines import wait_until
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).resolve().parents[3]
 DEADLINE_S = 60.0
 PYTHON = """\

@@ -17,6 +17,8 @@ from scope_bench.core.optics import stereo_rig
 from scope_bench.imaging.rig import CameraShift
 from scope_bench.imaging.timing import shots
 
+pytestmark = pytest.mark.long
+
 BENCHMARKS = Path(__file__).parents[3] / "benchmarks"
 
 

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from virtual_robot import VirtualRobot
 
 from icu_common.core.goals.results import Outcome
+
+pytestmark = pytest.mark.slow
 
 
 def test_a_knob_is_turned_by_the_ball_in_its_dimple() -> None:

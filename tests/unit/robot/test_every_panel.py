@@ -13,6 +13,8 @@ from virtual_robot import VirtualRobot
 
 from icu_common.core.goals.results import Outcome
 
+pytestmark = pytest.mark.long
+
 LAYOUTS = sorted(path.stem for path in (CONFIG / "scopes").glob("*.yaml"))
 BEFORE_THE_BALLS_COLOUR = {("mso_dark_6", "CH3")}
 

@@ -12,6 +12,8 @@ from virtual_robot import VirtualRobot
 from gantry_driver.core.job.goal_job import Phase
 from icu_common.core.goals.results import GoalResult, Outcome
 
+pytestmark = pytest.mark.slow
+
 LIFTED_M = -0.0006
 """Heights of the tip's ball above this count as up; the play of the stylus's axis is less."""
 

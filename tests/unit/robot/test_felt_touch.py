@@ -14,6 +14,8 @@ from virtual_robot import VirtualRobot
 from icu_common.core.goals.results import Felt, GoalResult, Outcome
 from scope_bench.core.configuration import BenchConfig
 
+pytestmark = pytest.mark.long
+
 SEEDS = (1, 2, 3)
 KEYS = ("RUN_STOP", "AUTO_SET", "SAVE", "CH1")
 LAYOUTS = ("dso_bench_4", "ventilator_v1", "crt_classic_2")

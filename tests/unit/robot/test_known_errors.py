@@ -20,6 +20,8 @@ from icu_common.core.alignment.pair import PairCode
 from icu_common.core.goals.results import GoalResult, Outcome
 from icu_common.core.panel.panel_layout import PanelLayout, load_layout
 
+pytestmark = pytest.mark.long
+
 NAMES = ("MATH", "CH1_SCALE", "TRIG_MENU", "SAVE", "CH2_POSITION", "RUN_STOP")
 NOMINAL = load_layout(CONFIG / "scopes" / "dso_bench_4.yaml")
 

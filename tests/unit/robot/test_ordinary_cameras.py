@@ -14,6 +14,8 @@ from virtual_robot import VirtualRobot
 
 from icu_common.core.goals.results import Outcome
 
+pytestmark = pytest.mark.long
+
 SEED = 3
 PRESSED = ("RUN_STOP", "MENU", "AUTO_SET")
 CALIBRATED_WITHIN_S = 75.0

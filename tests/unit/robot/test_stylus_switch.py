@@ -9,6 +9,8 @@ from gantry_driver.core.job.controller_messages import Joints
 from gantry_driver.core.states.machine_states import Position
 from icu_common.core.goals.results import Outcome
 
+pytestmark = pytest.mark.long
+
 SWITCH = {"stylus.switch.enabled": True, "stylus.switch.threshold_mm": 0.3, "stylus.switch.hysteresis_mm": 0.1}
 
 

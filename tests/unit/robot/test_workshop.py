@@ -10,6 +10,8 @@ from virtual_robot import VirtualRobot
 
 from icu_common.core.goals.results import Felt, Outcome
 
+pytestmark = pytest.mark.long
+
 SEED = 1
 NAMES = ("TRIG_MENU", "CURSORS", "SAVE", "MENU")
 RESTED_LOOKS = 35

@@ -14,7 +14,6 @@ locked again at the end. ``--check`` does not open the port.
 from __future__ import annotations
 
 import argparse
-import gc
 import signal
 import sys
 from collections.abc import Callable, Mapping, Sequence
@@ -26,18 +25,16 @@ from types import FrameType
 import serial
 
 from gantry_driver.adapters.check_mode import CheckFailed, dry_run
-from gantry_driver.adapters.serial_link import SerialLink
+from gantry_driver.adapters.grbl_client import GrblClient, GrblError
 from gantry_driver.core.configuration.machine_config import DriverConfig
 from gantry_driver.core.goals.progress import duration_text, progress_text
 from gantry_driver.core.grbl.grbl_messages import error_text
 from gantry_driver.core.grbl.lines import plain
 from gantry_driver.core.grbl.settings_profile import ProfileError, differences, parse_profile, profile_text
-from gantry_driver.core.grbl.trajectory_gcode import TrajectoryError
 from gantry_driver.core.machine.machine import Machine
 from gantry_driver.core.machine.streaming import PROGRAM_MODES
 from gantry_driver.core.program.gcode_check import CheckedLine, ProgramChecker
 from gantry_driver.core.program.gcode_words import GcodeError
-from gantry_driver.core.states.machine_states import Answered, Event, Note, StateChanged
 from icu_common.adapters.processes.program_end import end_signals, ends_quietly, help_text
 from icu_common.adapters.terminal_keys import terminal_keys
 from icu_common.core.configuration.config import ConfigError, from_mapping
@@ -47,12 +44,6 @@ from icu_common.core.goals.results import GoalResult, Outcome
 
 DONE, FAILED, USAGE = 0, 1, 2
 """Exit codes."""
-TURN_S = 0.1
-BROKEN = ("stopped", "alarm", "mismatch")
-
-
-class Failed(Exception):
-    """The program cannot continue; the message gives the reason."""
 
 
 def read_config(params: Sequence[Path], **options: str | bool | None) -> DriverConfig:
@@ -111,131 +102,45 @@ class Display:
 
 
 class Runner:
-    """Runs one program on one port; its own loop sends the operator's heartbeat, so a hang holds the machine."""
+    """Runs one program on one port, with its keys and its progress."""
 
     def __init__(self, config: DriverConfig, display: Display) -> None:
         self._display = display
-        self._machine = Machine(config)
-        self._before_opening = self._machine.state_text
-        self._result: GoalResult | None = None
-        self._texts: list[str] = []
-        self._link = SerialLink(self._machine, config.port, config.baud, self._on_events)
-        self._link.start()
+        self._key: Callable[[], str] = lambda: ""
+        self._show: Callable[[], None] = lambda: None
+        self.board = GrblClient(config=config, on_turn=self._on_turn, on_text=display.say)
 
     def run(self, source: Sequence[str], lines: Sequence[CheckedLine], key: Callable[[], str]) -> GoalResult:
         """Home, stream, and return the answer; ``key`` returns the keys typed since the last turn.
 
         Raises
         ------
-        Failed, KeyboardInterrupt
+        GrblError, KeyboardInterrupt
         """
-        self._connect(key)
-        self._need("unhomed")
-        if refusal := self._link.call(lambda machine, now: machine.home(now)):
-            raise Failed(f"homing was refused: {refusal}")
-        self._turn_until(lambda: self._machine.state != "homing", key)
-        self._need("idle")
-        before = self._machine.counts.executed
-        self._start(source)
-        ends = list(accumulate(line.seconds for line in lines))
-
-        def over() -> bool:
-            done = min(max(self._machine.counts.executed - before, 0), len(lines))
-            share = done / max(len(lines), 1)
-            self._display.show(progress_text(done, ends, self._machine.state_text), share)
-            return self._result is not None
-
-        self._turn_until(over, key)
-        assert self._result is not None
-        return self._result
-
-    def _start(self, source: Sequence[str]) -> None:
-        """Check the program from the current position and start it; a check of seconds does not block the link."""
+        self._key = key
         try:
-            checker = self._link.call(lambda machine, now: machine.program_checker())
-            checked = list(checker.check_all(source))
-        except (TrajectoryError, GcodeError) as error:
-            raise Failed(str(error)) from error
+            self.board.home()
+            before = self.board.lines_done
+            ends = list(accumulate(line.seconds for line in lines))
 
-        def start(machine: Machine, now: float) -> None:
-            machine.heartbeat(now)
-            machine.run_checked("program", checker, checked, now)
+            def show() -> None:
+                done = min(max(self.board.lines_done - before, 0), len(lines))
+                self._display.show(progress_text(done, ends, self.board.state), done / max(len(lines), 1))
 
-        # A garbage collection with a long program in memory can take longer than the heartbeat's time-out.
-        gc.collect()
-        gc.freeze()
-        self._link.call(start)
-
-    def settings(self) -> dict[int, str]:
-        """Connect and return the board's settings.
-
-        Raises
-        ------
-        Failed, KeyboardInterrupt
-        """
-        self._connect(lambda: "")
-        return self._machine.settings
-
-    def expected_settings(self) -> dict[int, float]:
-        """Return the required settings of the connected board."""
-        return self._machine.expected_settings()
-
-    def write(self, profile: Mapping[int, float]) -> list[str]:
-        """Write the settings that differ from a profile and read them back; return those that the board did not keep.
-
-        Raises
-        ------
-        Failed, KeyboardInterrupt
-        """
-        if refusal := self._link.call(lambda machine, now: machine.write_settings(now, profile)):
-            raise Failed(refusal)
-        return differences(self.settings(), profile, "what was written")
-
-    def _connect(self, key: Callable[[], str]) -> None:
-        self._turn_until(
-            lambda: self._machine.state != "connecting" and self._machine.state_text != self._before_opening, key
-        )
-        if self._machine.state == "disconnected":
-            raise Failed(f"the board is {self._machine.state_text}")
+            self._show = show
+            return self.board.run(source)
+        finally:
+            self._key, self._show = (lambda: ""), (lambda: None)
 
     def close(self) -> None:
         """Hold a moving machine, lift the stylus, and close the port; nothing interrupts this."""
         _on_signals(signal.SIG_IGN)
-        self._link.close("interrupted")
-        self._turn()
+        self.board.close()
 
-    def _need(self, state: str) -> None:
-        if self._machine.state != state:
-            raise Failed(f"the board is {self._machine.state_text}, {state!r} is needed")
-
-    def _turn_until(self, condition: Callable[[], bool], key: Callable[[], str]) -> None:
-        while not condition():
-            if self._machine.state in BROKEN and self._result is None:
-                raise Failed(f"the board is {self._machine.state_text}")
-            if " " in key() and (refusal := self._link.call(_pause_or_resume)):
-                self._display.say(refusal)
-            self._turn()
-        self._turn()
-
-    def _turn(self) -> None:
-        self._link.call(lambda machine, now: machine.heartbeat(now))
-        self._link.wait_for(lambda machine: self._result is not None, TURN_S)
-        while self._texts:
-            self._display.say(self._texts.pop(0))
-
-    def _on_events(self, events: list[Event]) -> None:
-        for event in events:
-            if isinstance(event, StateChanged):
-                if event.logged:
-                    self._texts.append(event.text)
-            elif isinstance(event, Note):
-                self._texts.append(f"{event.level}: {event.text}")
-            elif isinstance(event, Answered) and event.result.outcome is not Outcome.ACCEPTED:
-                self._result = event.result
-
-
-def _pause_or_resume(machine: Machine, now: float) -> str:
-    return machine.resume(now) if machine.reason == "paused" else machine.pause(now)
+    def _on_turn(self) -> None:
+        if " " in self._key() and (refusal := self.board.pause_or_resume()):
+            self._display.say(refusal)
+        self._show()
 
 
 def run_program(source: Sequence[str], lines: Sequence[CheckedLine], config: DriverConfig) -> int:
@@ -244,7 +149,7 @@ def run_program(source: Sequence[str], lines: Sequence[CheckedLine], config: Dri
     try:
         with terminal_keys() as key:
             result = runner.run(source, lines, key)
-    except Failed as error:
+    except GrblError as error:
         print(f"error: {error}", file=sys.stderr)
         return FAILED
     except KeyboardInterrupt:
@@ -260,18 +165,18 @@ def run_settings(config: DriverConfig, *, save: Path | None, profile: Mapping[in
     """Compare, save or write the board's settings; ``profile`` has the settings to write."""
     runner = Runner(config, Display())
     try:
-        found = runner.settings()
+        found = runner.board.settings()
         if not found:
-            raise Failed("the board has no settings")
+            raise GrblError("the board has no settings")
         if save is not None:
             save.write_text(f"; settings of the board at {config.port}\n{profile_text(found)}", encoding="ascii")
             print(f"{save}: {len(found)} settings")
             return DONE
-        wanted = runner.expected_settings() if profile is None else profile
+        wanted = runner.board.expected_settings() if profile is None else profile
         wrong = differences(found, wanted)
         if profile is not None and wrong:
-            wrong = runner.write(profile)
-    except (Failed, OSError) as error:
+            wrong = runner.board.write_settings(profile)
+    except (GrblError, OSError) as error:
         print(f"error: {error}", file=sys.stderr)
         return FAILED
     except KeyboardInterrupt:

@@ -25,6 +25,8 @@ from icu_common.adapters.unix_listener import listen_at
 from icu_common.core.geometry.frames import JOINTS
 from icu_common.core.goals.results import GoalResult, Outcome
 
+pytestmark = pytest.mark.slow
+
 WITHIN_S = 20.0
 POINTS = [Waypoint(positions_m=(0.1, 0.1, 0.0))]
 

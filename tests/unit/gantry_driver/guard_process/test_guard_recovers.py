@@ -17,6 +17,8 @@ from gantry_driver.core.configuration.machine_config import DriverConfig
 from gantry_driver.core.states.machine_states import Note
 from icu_common.adapters.direct_stop.line import send_stop
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture
 def port(tmp_path: Path) -> Iterator[Path]:

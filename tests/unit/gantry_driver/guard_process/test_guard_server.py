@@ -18,6 +18,8 @@ from gantry_driver.core.machine.machine import Machine
 from gantry_driver.core.states.machine_states import Note, Position, StateChanged
 from icu_common.adapters.direct_stop.line import send_stop
 
+pytestmark = pytest.mark.slow
+
 
 def test_a_node_gets_the_machine_s_state_and_its_answers(make: Callable[..., Rig]) -> None:
     rig = make()

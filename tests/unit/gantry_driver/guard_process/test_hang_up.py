@@ -15,6 +15,8 @@ from gantry_driver.adapters.serial_port import hang_up
 from gantry_driver.core.configuration.machine_config import DriverConfig
 from gantry_driver.core.machine.machine import Machine
 
+pytestmark = pytest.mark.slow
+
 WITHIN_S = 10.0
 
 

@@ -24,6 +24,8 @@ from gantry_driver.adapters.guard.port_record import (
 )
 from gantry_driver.core.configuration.machine_config import DriverConfig, StylusConfig
 
+pytestmark = pytest.mark.long
+
 
 class Place:
     """A port that is a file, its guard's socket path, and the record."""

@@ -25,6 +25,8 @@ from gantry_driver.core.guard.messages import FrameReader, config_values, frame,
 from icu_common.adapters.direct_stop.line import send_stop
 from icu_common.core.geometry.frames import JOINTS
 
+pytestmark = pytest.mark.long
+
 DOWN_M = 0.02
 PRESSING_S = 2.0
 NO_PANEL = EnvelopeConfig(free_space_m=0.2, crossing_m=0.2)

@@ -24,6 +24,8 @@ from gantry_driver.mock import service
 from gantry_driver.mock.main import main
 from gantry_driver.mock.service import Service
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture
 def start(tmp_path: Path) -> Iterator[Callable[..., Running]]:

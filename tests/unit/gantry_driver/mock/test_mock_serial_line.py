@@ -9,6 +9,8 @@ from unit.gantry_driver.mock_rig import BANNER, FREE, Rig
 
 from gantry_driver.mock.settings import SettingsError, make_eeprom, parse_assignment, read_settings_file
 
+pytestmark = pytest.mark.slow
+
 OK = b"ok\r\n"
 
 

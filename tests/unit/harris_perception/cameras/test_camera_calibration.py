@@ -24,6 +24,8 @@ from harris_perception.core.cameras.residual_picture import residual_picture
 from harris_perception.core.cameras.view_collection import ViewCollection
 from harris_perception.core.cameras.view_coverage import CalibrationError, coverage
 
+pytestmark = pytest.mark.slow
+
 BOARD = Board(columns=9, rows=6, square_m=0.025)
 CHARUCO = Board(kind="charuco", columns=9, rows=6, square_m=0.025, marker_m=0.018)
 CONFIG = CalibrationConfig()

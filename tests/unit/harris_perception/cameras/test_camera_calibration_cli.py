@@ -22,6 +22,8 @@ from harris_perception.core.cameras.board import Board
 from harris_perception.core.cameras.view_collection import ViewCollection
 from icu_common.core.geometry.camera_model import CameraModel
 
+pytestmark = pytest.mark.slow
+
 BOARD = Board(columns=9, rows=6, square_m=0.025)
 SMALL = ["--chessboard", "9x6", "--square-mm", "25"]
 

@@ -18,6 +18,8 @@ from harris_perception.adapters.camera_controls import (
 from harris_perception.adapters.v4l2_source import V4l2Source
 from icu_common.core.configuration.config import ConfigError
 
+pytestmark = pytest.mark.long
+
 ALL = ControlsConfig(
     left_focus=30.0, right_focus=45.0, exposure_ms=8.0, gain=20.0, white_balance_k=4500, power_line_hz=50
 )

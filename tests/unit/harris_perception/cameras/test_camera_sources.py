@@ -26,6 +26,8 @@ from harris_perception.adapters.camera_sources import (
 from icu_common.adapters.frame_link import FrameServer
 from icu_common.core.configuration.config import ConfigError
 
+pytestmark = pytest.mark.slow
+
 
 def numbered(value: int, shape: tuple[int, int] = (24, 32)) -> np.ndarray[Any, Any]:
     return np.full((*shape, 3), value, np.uint8)

@@ -17,6 +17,8 @@ from harris_perception.core.stylus.ball_view import mixed_chroma_of
 from harris_perception.core.stylus.stylus import StylusTracker
 from harris_perception.core.stylus.stylus_config import StylusConfig
 
+pytestmark = pytest.mark.long
+
 STEREO = stereo_model()
 THIN = Look(shaft_from=0.016, shaft_radius=0.0005, noise=0.0)
 DARK = Look(shaft_from=0.016, shaft_radius=0.0005, noise=0.0, panel=(50.0, 55.0, 50.0), light=(-0.9, -0.3, -0.4))

@@ -657,6 +657,7 @@ def test_a_response_that_lies_in_memory_in_another_order_has_the_same_corners() 
         assert np.array_equal(found.xy, expected.xy) and np.array_equal(found.response, expected.response)
 
 
+@pytest.mark.long
 @pytest.mark.timeout(480)  # the first time all is compiled, on a busy computer
 def test_after_warming_no_picture_waits_for_the_compiler() -> None:
     search = os.pathsep.join(p for p in sys.path if p)

@@ -17,6 +17,8 @@ from harris_perception.cli import harris_evaluate
 from harris_perception.cli.harris import main
 from harris_perception.core.evaluation import boundary_evaluation as boundaries
 
+pytestmark = pytest.mark.long
+
 savemat = pytest.importorskip("scipy.io", reason="drawn boundaries are read by scipy").savemat
 
 

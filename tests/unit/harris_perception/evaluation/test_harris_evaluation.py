@@ -33,6 +33,8 @@ from harris_perception.core.evaluation.repeatability import (
     warps,
 )
 
+pytestmark = pytest.mark.long
+
 
 def pair(homography: np.ndarray, size: tuple[int, int] = (200, 300)) -> Pair:
     return Pair("test", 1.0, np.zeros(size, np.uint8), np.zeros(size, np.uint8), homography)

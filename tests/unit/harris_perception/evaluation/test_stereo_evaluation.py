@@ -22,6 +22,8 @@ from harris_perception.core.evaluation.stereo_evaluation import (
     score_sparse,
 )
 
+pytestmark = pytest.mark.long
+
 NAN = np.float32(np.nan)
 
 

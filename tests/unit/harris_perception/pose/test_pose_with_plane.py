@@ -6,6 +6,7 @@ import dataclasses
 
 import cv2
 import numpy as np
+import pytest
 from unit.harris_perception import panel_scene as scene
 
 from harris_perception.core.corners.harris import HarrisConfig, HarrisDetector
@@ -17,6 +18,8 @@ from harris_perception.core.stereo.rectifier import Rectifier
 from harris_perception.core.stereo.stereo_matching import StereoMatchConfig, disparity_range, match_corners
 from icu_common.core.geometry.camera_model import StereoModel
 from icu_common.core.geometry.geometry import Array, Transform
+
+pytestmark = pytest.mark.slow
 
 LAYOUT = scene.bench_layout()
 LEFT = scene.camera()

@@ -21,6 +21,8 @@ from icu_common.core.panel.panel_state import LAMPS, PanelSeen
 from scope_bench.core.instrument import InstrumentState
 from scope_bench.core.renderer import Moment
 
+pytestmark = pytest.mark.slow
+
 KNOBS = [c.name for c in LAYOUT.controls if c.kind == "knob"]
 RESTED = 34
 """Images until cells that do not change count."""

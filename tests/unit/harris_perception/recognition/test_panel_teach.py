@@ -24,6 +24,8 @@ from harris_perception.core.recognition.recognition import PanelRecogniser
 from icu_common.core.geometry.camera_model import CameraModel
 from icu_common.core.panel.panel_layout import load_layout
 
+pytestmark = pytest.mark.slow
+
 LAYOUT = scene.bench_layout()
 CAMERA = scene.camera(k1=0.0)
 NAMES = ("SCREEN", "RUN_STOP", "CH1", "TIME_SCALE", "CH1_IN")

@@ -27,6 +27,8 @@ from icu_common.core.geometry.camera_model import CameraModel
 from icu_common.core.geometry.geometry import Transform
 from icu_common.core.panel.panel_layout import Control, PanelLayout, Text, load_layout
 
+pytestmark = pytest.mark.slow
+
 LAYOUT = scene.bench_layout()
 CAMERA = scene.camera()
 DETECTOR = HarrisDetector(HarrisConfig())

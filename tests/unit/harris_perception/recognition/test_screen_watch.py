@@ -57,6 +57,7 @@ class WatchedScreen:
         return 10**12 + round(1e9 * self.count / RATE_HZ)
 
 
+@pytest.mark.long
 @pytest.mark.timeout(600)
 def test_an_hour_of_running_traces_changes_no_screen() -> None:
     watched = WatchedScreen(1)

@@ -17,6 +17,8 @@ from harris_perception.core.stylus.stylus import StylusTracker
 from harris_perception.core.stylus.stylus_config import StylusConfig
 from icu_common.core.configuration.config import ConfigError
 
+pytestmark = pytest.mark.slow
+
 
 def tracker(**settings: Any) -> StylusTracker:
     return StylusTracker(StylusConfig(**settings), STEREO)

@@ -19,6 +19,8 @@ from icu_common.core.admission.sources import (
     rivals_text,
 )
 
+pytestmark = pytest.mark.slow
+
 A, B = b"a" * 12, b"b" * 12
 OLD, NEW = Source(name="/panel/recognition", process=A), Source(name="/panel/recognition", process=B)
 STRANGER = Source(name="/stranger", process=B)

@@ -13,6 +13,8 @@ from icu_common.nodes.images import image_bytes, image_of_bytes
 from icu_common.nodes.messages.cameras import image_array, image_message
 from icu_common.nodes.messages.heads import header, stamp_ns
 
+pytestmark = pytest.mark.slow
+
 SEED = 3
 STAMP = 1_700_000_000_123_456_789
 KINDS = [

@@ -17,6 +17,8 @@ import pytest
 
 from icu_common.adapters.processes.program_end import INTERRUPTED, UNREAD, UNWRITTEN, ends_quietly
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).resolve().parents[4]
 BAG = str(ROOT / "tests" / "golden" / "bag")
 

@@ -21,6 +21,8 @@ from scope_bench.adapters.bag.bags import BagError
 from scope_bench.cli import bag_export, bag_info, bag_play
 from scope_bench.nodes.bag_types import type_problem
 
+pytestmark = pytest.mark.slow
+
 START_NS = 1_700_000_000_000_000_000
 ROWS = [("/talk" if i % 3 else "/state", START_NS + i * 10_000_000, text(f"{i}")) for i in range(30)]
 ROS1 = get_typestore(Stores.ROS1_NOETIC)

@@ -43,6 +43,8 @@ from scope_bench.cli import bag_info
 from scope_bench.core.bag.mcap_records import MAGIC, whole_messages
 from scope_bench.core.bag.play_clock import PlayClock, progress_bar
 
+pytestmark = pytest.mark.long
+
 TYPES = get_typestore(Stores.ROS2_JAZZY)
 STRING = "std_msgs/msg/String"
 STRING_HASH = "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"

@@ -16,6 +16,8 @@ from scope_bench.core.configuration import BenchConfig, CameraConfig, LightConfi
 from scope_bench.core.instrument import InstrumentState, press
 from scope_bench.core.renderer import Moment, Renderer, base_from_panel, control_pixels
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).parents[4]
 LAYOUT = load_layout(ROOT / "config/scopes/dso_bench_4.yaml")
 CAMERA = CameraConfig(width_px=640, height_px=360, focal_px=850.0, centre_px=(321.2, 177.4, 316.3, 181.9))

@@ -16,6 +16,8 @@ from unit.scope_bench.export import recorded_session as recorded
 from scope_bench.adapters.bag.bag_reader import BagReader
 from scope_bench.cli import bag_export
 
+pytestmark = pytest.mark.slow
+
 GOLDEN = Path(__file__).parents[3] / "golden" / "bag"
 JOINTS = [row for row in recorded.rows() if row[0] == "/joint_states"]
 LEFT, RIGHT = "stereo_left_image_raw_compressed", "stereo_right_image_raw"

@@ -16,6 +16,8 @@ from icu_common.core.panel.panel_layout import load_layout
 from scope_bench.adapters.bench.simulation import Simulation
 from scope_bench.core.configuration import BenchConfig
 
+pytestmark = pytest.mark.slow
+
 LAYOUT = load_layout(Path(__file__).parents[4] / "config/scopes/dso_bench_4.yaml")
 THRESHOLD_MM = 0.3
 

@@ -16,6 +16,8 @@ from deadlines import wait_until
 from scope_bench.adapters.configuration_folder import configuration_folder
 from scope_bench.cli import bring_up, composed
 
+pytestmark = pytest.mark.slow
+
 CONFIG = Path(__file__).parents[4] / "config"
 DEADLINE_S = 60.0
 

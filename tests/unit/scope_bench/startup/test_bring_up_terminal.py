@@ -21,6 +21,8 @@ from pathlib import Path
 import pytest
 from small_terminal import SmallTerminal
 
+pytestmark = pytest.mark.slow
+
 DEADLINE_S = 60.0
 COLUMNS, ROWS = 100, 40
 ADDRESS = "http://127.0.0.1:9/?token=first"

@@ -15,6 +15,8 @@ import pytest
 from scope_bench.adapters.fork_server import ForkServer, is_forkable
 from scope_bench.adapters.processes import ProcessGroup
 
+pytestmark = pytest.mark.slow
+
 DEADLINE_S = 60.0
 PROGRAM = f"""#!{sys.executable}
 import os, signal, sys, threading

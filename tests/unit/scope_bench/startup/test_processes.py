@@ -15,6 +15,8 @@ from unit.scope_bench.process_rig import PYTHON, Clock, Watch, alive, clock, int
 
 from scope_bench.adapters import processes, watched_program
 
+pytestmark = pytest.mark.slow
+
 __all__ = ["clock", "interruptible"]  # fixtures
 STUBBORN = "import signal, sys; [signal.signal(s, signal.SIG_IGN) for s in (2, 15)]; print('up'); signal.pause()"
 

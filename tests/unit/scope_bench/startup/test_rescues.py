@@ -11,6 +11,8 @@ from pathlib import Path
 import pytest
 from unit.scope_bench.process_rig import PYTHON, Clock, Watch, alive, clock, interruptible
 
+pytestmark = pytest.mark.slow
+
 __all__ = ["clock", "interruptible"]  # fixtures
 
 

@@ -10,6 +10,8 @@ import pytest
 from scope_ui_bridge.adapters.secret_files import read_users, write_secret
 from scope_ui_bridge.core.access import PasswordError, Role, hash_password, matches, new_user, parse_users
 
+pytestmark = pytest.mark.slow
+
 GOOD = hash_password("correct horse", b"0123456789abcdef")
 
 

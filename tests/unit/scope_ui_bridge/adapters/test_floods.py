@@ -25,6 +25,8 @@ from scope_ui_bridge.adapters.secret_files import AuditFile, write_secret
 from scope_ui_bridge.core.access import new_user
 from scope_ui_bridge.core.records import verify
 
+pytestmark = pytest.mark.long
+
 STOPS = 25
 MEDIAN_S, LONGEST_S = 0.05, 0.2
 

@@ -25,6 +25,8 @@ from scope_ui_bridge.adapters.web import front_door
 from scope_ui_bridge.core.access import Role, hash_password, matches, new_user, sign_in
 from scope_ui_bridge.core.records import verify
 
+pytestmark = pytest.mark.slow
+
 
 def records(path: Path) -> list[dict[str, Any]]:
     return [json.loads(line) for line in path.read_text().rpartition("\n")[0].splitlines()]

@@ -19,6 +19,8 @@ from unit.scope_ui_bridge import web_rig
 from scope_ui_bridge.adapters.graph_port import GraphError
 from scope_ui_bridge.adapters.recorder import Recorder
 
+pytestmark = pytest.mark.slow
+
 WITHIN_S = 20.0
 # Like bag_record: slow to start (here until somebody opens the fifo), then it says so, and ends by SIGINT.
 PROGRAM = """#!{python}

@@ -16,6 +16,8 @@ from unit.scope_ui_bridge.web_rig import WITHIN_S, Rig, page, until, with_rig
 from scope_ui_bridge.adapters.secret_files import AuditFile
 from scope_ui_bridge.core.effects import Broadcast
 
+pytestmark = pytest.mark.slow
+
 
 def records(path: Path) -> list[dict[str, Any]]:
     return [json.loads(line) for line in path.read_text().rpartition("\n")[0].splitlines()]

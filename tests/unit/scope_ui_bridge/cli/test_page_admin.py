@@ -24,6 +24,8 @@ from scope_ui_bridge.core.access import Role, matches
 from scope_ui_bridge.core.config import BridgeConfig
 from scope_ui_bridge.core.records import AuditError, Gap
 
+pytestmark = pytest.mark.slow
+
 
 def test_a_password_is_set_changed_and_removed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
