@@ -51,14 +51,15 @@ def limits_of(item: ConfigItem) -> str:
 
 def row(item: ConfigItem) -> str:
     info = item.setting
-    marks = [info.clock and f"{info.clock} clock", info.read_only and "read only", info.guards and "safety"]
+    given = {f"{info.clock} clock": info.clock, "read only": info.read_only, "safety": info.guards}
+    marks = [mark for mark, holds in given.items() if holds]
     cells = [
         f"`{item.name}`",
         kind_of(item),
         text_of(item.default),
         limits_of(item),
         info.unit,
-        ", ".join(filter(None, marks)),
+        ", ".join(marks),
     ]
     return " | ".join(["", *(cell.replace("|", r"\|") for cell in [*cells, info.description]), ""]).strip()
 
