@@ -72,6 +72,17 @@ def test_readme_is_short_and_names_the_two_commands() -> None:
     assert set(targets) <= set(re.findall(r"^(\w+):", (ROOT / "Makefile").read_text(), re.MULTILINE))
 
 
+def test_figures_of_the_comparison_are_those_of_their_sources() -> None:
+    section = (ROOT / "README.md").read_text().partition("## Comparison")[2].partition("\n## ")[0]
+    rows = [line.strip("| ").split(" | ") for line in section.splitlines() if line.startswith("| ")][1:]
+    assert len(rows) > 4
+    for figure, ours, others, source in rows:
+        documents = [name.partition("#")[0] for name in re.findall(r"\]\((docs/[^)]+)\)", source)]
+        text = "\n".join((ROOT / name).read_text() for name in documents)
+        for number in re.findall(r"\d+(?:\.\d+)?", f"{ours} {others}"):
+            assert re.search(rf"(?<![\d.]){re.escape(number)}(?![\d.]*\d)", text), (figure, number, documents)
+
+
 def test_index_lists_each_document_by_purpose_once() -> None:
     index = (ROOT / "docs" / "README.md").read_text()
     linked = re.findall(r"\]\(([\w/.-]+\.md)\)", index)
