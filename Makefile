@@ -8,7 +8,7 @@ unexport PYTHONDONTWRITEBYTECODE
 VENV := .venv/bin
 INSTALL := ros2_ws/install
 
-.PHONY: help demo test test-quick test-all test-rest test-long check bench campaign damage matrix noise effects golden interfaces soak story docs setup clean picture cover mutants
+.PHONY: help demo test test-quick test-all test-rest test-long check bench campaign damage matrix noise effects golden interfaces soak story docs setup clean picture animation cover mutants
 
 help: ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -126,8 +126,11 @@ story: ## a new user's whole way at the page on the whole graph; pictures in art
 	@scripts/setup.sh dev
 	@$(VENV)/python -m pytest -s tests/system/page/test_a_whole_story.py
 
-picture: story ## make the README's picture of the operator page anew
+picture: story ## make the picture of the operator page again
 	@cp artifacts/story/06_moving.png docs/operator_page.png
+
+animation: ## record the README's press from a running demo, ADDRESS='http://127.0.0.1:8080/?token=...'
+	@PYTHONPATH=tests:$$(echo src/*/ | tr ' ' ':') $(VENV)/python -m press_picture '$(ADDRESS)' -o docs/press.webp
 
 setup: ## only set up
 	@scripts/setup.sh dev

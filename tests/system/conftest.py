@@ -125,7 +125,7 @@ class RunningGraph:
         return str(found[-1])
 
     def new_page_address(self) -> str:
-        """Ask for another sign-in, as the README says."""
+        """Ask for another sign-in, as docs/how-to/deployment.md says."""
         before = self.output.count("?token=")
         os.kill(self._pid_of("ui_bridge"), signal.SIGUSR1)
         self.wait(lambda: self.output.count("?token=") > before, 30.0, "another sign-in")

@@ -67,7 +67,7 @@ class Instrument:
         return str(wait_for(printed, 60.0, "the page's address"))
 
     def new_address(self) -> str:
-        """Ask for another sign-in, as the README says."""
+        """Ask for another sign-in, as docs/how-to/deployment.md says."""
         before = self.output.read_text().count("?token=")
         self.bridge.send_signal(signal.SIGUSR1)
         return self.address(before + 1)

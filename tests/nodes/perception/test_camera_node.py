@@ -170,7 +170,7 @@ def test_settings_that_cannot_work_end_the_node_at_once(ros: Any, tmp_path: Path
     (tmp_path / "broken.yaml").write_text("image_width: 640\n", encoding="utf-8")
     for side in ("left", "right"):
         for name, why in (
-            ("absent.yaml", r"No such file or directory; camera_calibration makes it \(docs/calibration\.md\)"),
+            ("absent.yaml", r"No such file or directory; camera_calibration makes it \(docs/how-to/calibration\.md\)"),
             ("folder", "Is a directory"),
             ("broken.yaml", "not a camera calibration: .*'distortion_model'"),
         ):

@@ -70,7 +70,7 @@ def test_the_replay_gives_the_recorded_results(whole: dict[str, TopicMessages]) 
 
 
 def test_the_documentation_replays_it_with_the_same_settings() -> None:
-    text = (ROOT / "docs" / "recording.md").read_text(encoding="utf-8")
+    text = (ROOT / "docs" / "how-to" / "recording.md").read_text(encoding="utf-8")
     documented = re.findall(r"--set ([\w.]+)=([\d.]+)", text)
     expected = {"hand_eye.still.tips": TIPS}
     for node, values in (("stylus_tracker", TRACKER), ("gantry_controller", CONTROLLER)):

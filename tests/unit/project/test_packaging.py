@@ -370,9 +370,9 @@ def test_benchmarks_find_what_they_import_of_the_project(path: Path, monkeypatch
                 )
 
 
-def test_the_readmes_example_runs_without_ros(tmp_path: Path) -> None:
-    """With the path that the README names, in an interpreter in which nothing of ROS can be imported."""
-    readme = (ROOT / "README.md").read_text()
+def test_the_example_of_a_single_package_runs_without_ros(tmp_path: Path) -> None:
+    """With the path that the page names, in an interpreter in which nothing of ROS can be imported."""
+    readme = (ROOT / "docs" / "how-to" / "single-packages.md").read_text()
     example = re.search(r"```python\n(.*?)```", readme, re.DOTALL)
     path = re.search(r"`PYTHONPATH=(\S+)`", readme)
     assert example and path

@@ -71,7 +71,7 @@ LEVELS = {
 
 
 class SerialDriverNode(GraphLifecycleNode):
-    """Drives one gantry; see docs/architecture.md for topics, services and states."""
+    """Drives one gantry; see docs/reference/topics.md and states.md in that folder."""
 
     def __init__(self, **node_arguments: Any) -> None:
         super().__init__("serial_driver", **node_arguments)
@@ -364,7 +364,9 @@ def make_node(**node_arguments: Any) -> SerialDriverNode:
 
 def main() -> int:
     if refusal := ask_for_real_time(DRIVER):
-        print(f"serial_driver: {refusal}; under load a stop may take longer, see README, Hardware", file=sys.stderr)
+        print(
+            f"serial_driver: {refusal}; under load a stop may take longer, see docs/how-to/hardware.md", file=sys.stderr
+        )
     signal.signal(signal.SIGTSTP, signal.SIG_IGN)  # A driver suspended by Ctrl-Z could not hold the machine.
     return run(make_node, shared_memory=False)
 

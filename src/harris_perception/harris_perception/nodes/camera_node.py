@@ -77,7 +77,7 @@ def _load(side: str, calibration: str) -> CameraModel | None:
         return CameraModel.load(file)
     except FileNotFoundError as error:
         raise ConfigError(
-            f"{which}: {file}: {error.strerror}; camera_calibration makes it (docs/calibration.md), "
+            f"{which}: {file}: {error.strerror}; camera_calibration makes it (docs/how-to/calibration.md), "
             "and without one an empty text is needed"
         ) from error
     except OSError as error:

@@ -107,7 +107,7 @@ def _make(**options: Any) -> BridgeNode:
 
 def main() -> int:
     if refusal := ask_for_real_time(BRIDGE):
-        print(f"ui_bridge: {refusal}; under load a motion may be stopped, see README, Hardware", file=sys.stderr)
+        print(f"ui_bridge: {refusal}; under load a motion may be stopped, see docs/how-to/hardware.md", file=sys.stderr)
     return run(_make)
 
 

@@ -78,8 +78,8 @@ UNSAID = {
     ),
     "the log": (
         *("{}: message of {} bytes dropped (limit {} bytes)", "{}: message of {} bytes dropped: {}"),
-        *("serial_driver: {}; under load a stop may take longer, see README, Hardware",),
-        *("ui_bridge: {}; under load a motion may be stopped, see README, Hardware",),
+        *("serial_driver: {}; under load a stop may take longer, see docs/how-to/hardware.md",),
+        *("ui_bridge: {}; under load a motion may be stopped, see docs/how-to/hardware.md",),
         *("encoding {} is none of bgr8, mono8, {}", "OpenCV could not encode the picture"),
         *("encoding {} is none of {}, nor one of these with 16 bits",),
         *("a standard deviation of {} m: 0 to {} m are believed", "the panel's plane faces away from the stylus"),

@@ -1,4 +1,4 @@
-"""Names of frames (REP-105) and joints; their meaning is in docs/architecture.md."""
+"""Names of frames (REP-105) and joints; their meaning is in docs/reference/frames.md."""
 
 BASE = "base_link"
 PANEL = "panel_link"

@@ -48,7 +48,7 @@ class GoalResult:
     Parameters
     ----------
     goal_id
-        Identifier by which the sender recognises the answer; see docs/architecture.md.
+        Identifier by which the sender recognises the answer; see docs/reference/goals.md.
     goal
         The goal as text, for people.
     reason

@@ -1,4 +1,4 @@
-"""Sequences of gestures with a check after each gesture: the grammar of their text; see docs/architecture.md.
+"""Sequences of gestures with a check after each gesture: the grammar of their text; see docs/reference/goals.md.
 
 A step is a gesture of the command grammar, followed by ``=>`` and one or more checks, separated by commas:
 ``press:RUN_STOP => lamp:RUN_STOP=red, effect``. A file is YAML: a mapping with ``steps`` (a list of such texts, or of

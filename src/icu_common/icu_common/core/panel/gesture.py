@@ -1,4 +1,4 @@
-"""The text of /gantry/command: ``gesture:target[:argument][ id=TEXT]``; see docs/architecture.md for the grammar."""
+"""The text of /gantry/command: ``gesture:target[:argument][ id=TEXT]``; see docs/reference/goals.md for the grammar."""
 
 from __future__ import annotations
 
