@@ -13,7 +13,7 @@ from harris_perception.core.recognition.screen_watch import ScreenCells
 from harris_perception.core.recognition.state_config import StateConfig
 from icu_common.core.panel.panel_layout import load_layout
 from scope_bench.core import screen
-from scope_bench.core.instrument import InstrumentState, press
+from scope_bench.core.instrument import InstrumentState, advance, press
 
 RATE_HZ = 5.0
 HOUR_S = 3600.0
@@ -43,7 +43,7 @@ class WatchedScreen:
         if state != self._still_of:
             self._still_of, self._still = state, screen.still_part(state, screen.SIZE_PX)
         self.count += 1
-        now_s = self.count / RATE_HZ + self._rng.uniform(-0.01, 0.01)
+        now_s = self.now_s + self._rng.uniform(-0.01, 0.01)
         drawn = screen.with_traces(self._still, state, now_s, self._rng.standard_normal((2, 364)))
         drawn = cv2.GaussianBlur(drawn, (0, 0), 1.17)  # lens and pixels, as Renderer
         x, y = self._rng.normal(0.0, JITTER_PX, 2).astype(np.float32)
@@ -53,8 +53,12 @@ class WatchedScreen:
         return self.watch.changed_ns
 
     @property
+    def now_s(self) -> float:
+        return self.count / RATE_HZ
+
+    @property
     def stamp_ns(self) -> int:
-        return 10**12 + round(1e9 * self.count / RATE_HZ)
+        return 10**12 + round(1e9 * self.now_s)
 
 
 @pytest.mark.long
@@ -77,8 +81,31 @@ def test_what_a_key_changes_on_a_running_screen_is_seen(name: str, seed: int) ->
     watched, state = WatchedScreen(seed), InstrumentState()
     for _ in range(round(15 * RATE_HZ)):
         assert watched.look(state) == 0
-    after = press(state, name, watched.count / RATE_HZ)
+    after = press(state, name, watched.now_s)
     if name == "SINGLE":  # it waits for its trigger first
         after = dataclasses.replace(after, running=False, phase_s=after.single_until_s, single_until_s=0.0)
     begin = watched.stamp_ns
     assert [watched.look(after) for _ in range(5)][-1] > begin, "within a second"
+
+
+@pytest.mark.parametrize("seed", (1, 2, 3))
+def test_single_presses_on_an_instrument_that_has_just_stopped_are_seen(seed: int) -> None:
+    """The trace runs for 0.6 s after each press, so before, its cells failed to last, or had not rested for 6 s."""
+    watched, state = WatchedScreen(seed), InstrumentState()
+    for _ in range(round(15 * RATE_HZ)):
+        assert watched.look(state) == 0
+    for name in ("RUN_STOP", "SINGLE", "SINGLE", "SINGLE"):
+        state, begin = press(state, name, watched.now_s), watched.stamp_ns
+        for _ in range(round(3 * RATE_HZ)):
+            state = advance(state, watched.now_s)
+            watched.look(state)
+        assert watched.watch.changed_ns > begin, name
+
+
+@pytest.mark.timeout(600)
+@pytest.mark.parametrize("period_s", (2.6, 4.6))
+def test_a_reading_renewed_on_a_still_screen_is_no_change(period_s: float) -> None:
+    watched, stopped = WatchedScreen(1), InstrumentState(running=False, phase_s=2.8)
+    for _ in range(round(HOUR_S / 12 * RATE_HZ)):
+        reading = int(watched.now_s // period_s)
+        assert watched.look(dataclasses.replace(stopped, note=f"{reading % 2 * 11111 + 45678} MV")) == 0, watched.now_s

@@ -21,9 +21,10 @@ class HeightMemory:
         self.config = config
         self.forget()
 
-    def forget(self) -> None:
-        """Start again, after a calibration."""
+    def forget(self, correction_m: float = 0.0) -> None:
+        """Start again, after a calibration that was made with this part of heights due to a corrected camera."""
         height = self.config.height
+        self._correction_m = correction_m
         self.stylus = HeightEstimate(
             code=HeightFindingCode.STYLUS_OFFSET, sigma_m=height.start_sigma_m, drift_m=height.drift_sigma_m
         )
@@ -52,8 +53,15 @@ class HeightMemory:
         known_m = end.value_m + self.config.lag_m + END_SPARE_M
         return min(max(known_m, usual_m if not key else 0.0), self.config.max_travel_m)
 
-    def looked(self, offset_m: float, sigma_m: float) -> HeightFinding | None:
-        """Take a ball that is seen ``offset_m`` above the height of its reading."""
+    def looked(self, offset_m: float, sigma_m: float, correction_m: float | None = None) -> HeightFinding | None:
+        """Take a ball that is seen ``offset_m`` above the height of its reading.
+
+        A camera's correction changes seen heights by ``correction_m``. When it changes, the stylus has not moved, so
+        such a difference is expected. None: as before.
+        """
+        if correction_m is not None:
+            self.stylus.sigma_m = math.hypot(self.stylus.sigma_m, correction_m - self._correction_m)
+            self._correction_m = correction_m
         return self.stylus.take(offset_m, math.hypot(sigma_m, self.config.height.place_sigma_m))
 
     def touched(self, control: str, key: bool, end_m: float, sigma_m: float) -> HeightFinding | None:

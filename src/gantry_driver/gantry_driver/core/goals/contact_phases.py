@@ -43,14 +43,15 @@ class ContactPhases(GoalRun):
             return None
         contact = self.config.contact
         sigma = lag_between(job.air, job.air, contact).sigma_m / math.sqrt(2.0)
-        finding = self.heights.looked(job.air.seen_m + job.air.extension_m, sigma)
+        offset_m, correction_m = job.air.seen_m + job.air.extension_m, self._world.height_correction_m()
+        finding = self.heights.looked(offset_m, sigma, correction_m)
         job.findings += () if finding is None else (finding,)
         job.aim = replace(job.aim, lower_m=self.heights.stylus.value_m)
         if abs(self.heights.stylus.value_m) <= contact.height.max_offset_m:
             return None
         off_mm, limit_mm = 1000.0 * self.heights.stylus.value_m, 1000.0 * contact.height.max_offset_m
         cause = f"the stylus is {off_mm:+.1f} mm off the height that its readings say (limit {limit_mm:g} mm)"
-        self.heights.forget()  # a rejection must not make the next one certain
+        self.heights.forget(correction_m)  # a rejection must not make the next one certain
         return Fault(cause=f"{cause}: calibrate again", code=ContactCode.STYLUS_OFFSET.value)
 
     # Down

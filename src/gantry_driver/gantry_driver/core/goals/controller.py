@@ -171,7 +171,8 @@ class Controller(GoalPhases):
                 world.camera_from_base = event.transform
             case msg.Axes():
                 if not _same(world.base_from_reading, event.base_from_reading):
-                    self.heights.forget()  # a calibration measures the stylus's height as well
+                    # A calibration measures the stylus's height as well.
+                    self.heights.forget(world.height_correction_m())
                 world.base_from_reading = event.base_from_reading
             case msg.PairSeen():
                 world.pair = event.pair

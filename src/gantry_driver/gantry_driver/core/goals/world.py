@@ -211,6 +211,13 @@ class World:
         age_s = math.inf if self.pair is None else self.age_s(self.pair.stamp_ns)
         return pair_finding(self.pair, age_s, config)
 
+    def height_correction_m(self) -> float:
+        """Return the part of the tip's distance that is due to the corrected yaw of the right camera."""
+        if self.pair is None or self.camera_from_base is None:
+            return 0.0
+        distance_m = float(self.camera_from_base.translation[2])
+        return float(self.pair.rotation_rad[1]) * distance_m**2 / self.pair.baseline_m
+
     def view_fault(self, config: ControllerConfig, control: str) -> Fault | None:
         """Return the fault of the view that ends a gesture before the touch: a hidden control, or a hidden panel."""
         since_ns = self.hidden_ns.get(control)

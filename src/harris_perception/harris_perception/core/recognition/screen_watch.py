@@ -3,6 +3,10 @@
 A running trace changes hundreds of cells, and each of them may rest for a second between two changes. A cell therefore
 counts only after a rest longer than the period of the trace. A cell that changed without others must rest twice as long
 from then on. A change must last: a cell that keeps changing belongs to a trace.
+
+A stopped trace leaves the whole screen at rest, which a running one never does. Then all cells count at once, and the
+trace may run for a moment before the change lasts, as after a single acquisition. This does not apply to a screen that
+rests between changes of its own, for example of a reading.
 """
 
 from __future__ import annotations
@@ -23,6 +27,12 @@ LONGEST_GAP_S = 0.5
 """Maximum time between two images without a gap in the observation."""
 LONGEST_REST_S = 60.0
 """Maximum rest that a cell needs."""
+STILL_S = 1.5
+"""Time at rest of a whole screen after which all its cells count."""
+UNBROKEN = 2.0
+"""Time without a shorter rest of the whole screen before its rest counts, as a multiple of a cell's required rest."""
+LONGEST_RUN_NS = 2_000_000_000
+"""Maximum time for which a screen at rest may keep changing before the change lasts."""
 KEPT_REST = 0.75
 """Share of the required rest that a cell keeps after a reported change: the next press comes within three seconds."""
 _SHARE = 0.3
@@ -54,6 +64,9 @@ class ScreenWatch:
         self._age = np.zeros(shape, int)
         """Number of images that have shown the present change of a cell, 0 without one."""
         self._begin_ns = np.zeros(shape, np.int64)
+        self._at_rest = np.zeros(shape, bool)
+        """Whether the whole screen was at rest when the present change began."""
+        self._still_s = self._unbroken_s = 0.0
         self._last_ns, self._light = 0, 1.0
 
     def add(self, value: Array, seen: npt.NDArray[np.bool_], stamp_ns: int, light: float) -> None:
@@ -74,14 +87,17 @@ class ScreenWatch:
         quiet = unlit(value, self._last, light / self._light) < self._change / 2
         off = unlit(value, self._usual, light) > self._change
         first = seen & ~self._known
-        begins = seen & self._known & off & (self._age == 0) & (self._rest >= self._needed)
-        lasts = seen & off & quiet & (self._age > 0)
+        at_rest = self._ends_rest(seen & self._known & off & ~quiet, gap_s)
+        begins = seen & self._known & off & (self._age == 0) & (at_rest | (self._rest >= self._needed))
+        runs = self._at_rest & (stamp_ns - self._begin_ns <= LONGEST_RUN_NS)
+        lasts = seen & off & (quiet | runs) & (self._age > 0)
         fails = seen & (self._age > 0) & ~lasts
-        self._age[lasts] += 1
-        self._age[begins], self._begin_ns[begins] = 1, stamp_ns
-        # The change ended or continues: this cell changes by itself.
+        self._age[lasts] = np.where(quiet, self._age + 1, 1)[lasts]
+        self._age[begins], self._begin_ns[begins], self._at_rest[begins] = 1, stamp_ns, at_rest
+        # The change ended or continues: this cell changes by itself, or shows a trace that has started.
         self._age[fails], self._rest[fails] = 0, 0.0
-        self._needed[fails] = np.minimum(2.0 * self._needed[fails], LONGEST_REST_S)
+        own = fails & ~self._at_rest
+        self._needed[own] = np.minimum(2.0 * self._needed[own], LONGEST_REST_S)
         self._accept(value)
         calm = seen & (self._age == 0)
         self._rest = np.where(calm, np.where(quiet, self._rest + gap_s, 0.0), self._rest)
@@ -91,6 +107,19 @@ class ScreenWatch:
         self._known |= seen
         self._last = np.where(seen[..., None], value, self._last)
         self._last_ns, self._light = stamp_ns, light
+
+    def _ends_rest(self, stirred: npt.NDArray[np.bool_], gap_s: float) -> bool:
+        """Return whether the cells that have just changed end a rest of the whole screen that counts."""
+        self._unbroken_s += gap_s
+        self._still_s += gap_s
+        # Fewer cells than count as a change: of a small reading, now more and now fewer cells differ enough.
+        if 2 * int(stirred.sum()) < self._cells:
+            return False
+        still_s, self._still_s = self._still_s, 0.0
+        counts = still_s >= STILL_S and self._unbroken_s >= UNBROKEN * self._rest_s
+        if STILL_S <= still_s < self._rest_s:
+            self._unbroken_s = 0.0
+        return counts
 
     def _accept(self, value: Array) -> None:
         """Report a change that enough cells confirm; accept a change of too few cells as usual."""
