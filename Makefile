@@ -44,7 +44,7 @@ test-rest: test-long cover ## what test-all has and test has not
 test-long:
 	@scripts/setup.sh dev
 	@$(BESIDE) tests -m "long and not alone"; beside=$$?; \
-		$(PYTEST) --durations 12 tests/system -m "long and alone" && exit $$beside
+		$(PYTEST) --durations 12 tests -m "long and alone" && exit $$beside
 
 check: ## lint, formatting, types and import contracts
 	@scripts/setup.sh dev

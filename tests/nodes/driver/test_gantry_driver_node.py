@@ -34,6 +34,7 @@ from icu_common.adapters.real_time import steady_s
 from icu_common.core.geometry.frames import JOINTS
 from icu_common.nodes.qos import RESULTS
 
+pytestmark = [pytest.mark.long, pytest.mark.alone]  # the board and the driver keep real time
 SLOW_M_S = 0.03
 """Of a way on which the machine is stopped: it must not have ended, be it that who stops it is held up for seconds."""
 

@@ -21,7 +21,7 @@ from gantry_driver.core.states.stylus_state import STYLUS_DOWN_M
 from icu_common.adapters.direct_stop.line import send_stop, stop_path
 from icu_common.core.geometry.frames import JOINTS
 
-pytestmark = pytest.mark.long
+pytestmark = [pytest.mark.long, pytest.mark.alone]  # the board and the driver keep real time
 
 HELD_S, LIFTS_S = 1.0, 2.0
 """Limits in seconds on a busy computer with two cores, by the board's own record; benchmarks/driver/bench_guard.py has

@@ -22,7 +22,7 @@ from gantry_driver.core.states.machine_states import Answered, Event, StateChang
 from icu_common.adapters.direct_stop.line import guard_folder, received_stop, send_stop
 from icu_common.core.geometry.frames import JOINTS
 
-pytestmark = pytest.mark.long
+pytestmark = [pytest.mark.long, pytest.mark.alone]  # the board and the driver keep real time
 
 PRESSED_M = 0.02
 PRESSING_S = 2.0

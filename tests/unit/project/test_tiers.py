@@ -36,7 +36,13 @@ def times(target: str, folder: str, marks: tuple[str, ...]) -> int:
 def kinds() -> list[tuple[str, tuple[str, ...]]]:
     """Return each folder of tests with each set of markers that its tests may have."""
     sets = [marks for size in range(len(MARKERS) + 1) for marks in itertools.combinations(MARKERS, size)]
-    return [(folder, marks) for folder in FOLDERS for marks in sets if "alone" not in marks or folder == "tests/system"]
+    return [
+        (folder, marks) for folder in FOLDERS for marks in sets if "alone" not in marks or _may_be_alone(folder, marks)
+    ]
+
+
+def _may_be_alone(folder: str, marks: tuple[str, ...]) -> bool:
+    return folder == "tests/system" or (folder == "tests/nodes" and "long" in marks)
 
 
 def files_with(marker: str) -> set[str]:
@@ -64,8 +70,11 @@ def test_quick_tests_are_unit_tests_of_the_second_tier(folder: str, marks: tuple
     assert times("test", folder, marks) >= quick
 
 
-def test_only_tests_of_the_system_run_alone_and_only_unit_tests_are_slow() -> None:
-    assert files_with("alone") == {"tests/system"}
+def test_tests_of_the_system_and_long_ones_of_nodes_run_alone_and_only_unit_tests_are_slow() -> None:
+    assert files_with("alone") == {"tests/nodes", "tests/system"}
+    for path in (TESTS / "nodes").rglob("test_*.py"):
+        marks = re.findall(r"pytest\.mark\.(alone|long)\b", path.read_text())
+        assert "alone" not in marks or sorted(set(marks)) == ["alone", "long"], path
     assert files_with("slow") == {"tests/unit"}, "elsewhere the marker chooses nothing"
 
 
