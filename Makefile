@@ -39,7 +39,7 @@ test-rest: test-long cover ## what test-all has and test has not
 	@$(MAKE) --no-print-directory mutants MUTANTS_OPTIONS="--only silence.py"
 	@$(MAKE) --no-print-directory campaign
 	@$(MAKE) --no-print-directory damage DAMAGE_SEEDS=1000
-	@$(MAKE) --no-print-directory soak SOAK_MINUTES=5
+	@$(MAKE) --no-print-directory soak SOAK_MINUTES=5 SOAK_OPTIONS=--simulated
 
 test-long:
 	@scripts/setup.sh dev
@@ -101,7 +101,7 @@ noise: ## presses on the whole graph for NOISE_MINUTES=10 while one byte in 500 
 SOAK_MINUTES ?= 30
 soak: ## the whole graph at full rate for SOAK_MINUTES=30: memory, files, threads and delay must stay flat
 	@scripts/setup.sh dev
-	@$(VENV)/python benchmarks/robot/soak.py --minutes $(SOAK_MINUTES)
+	@$(VENV)/python benchmarks/robot/soak.py --minutes $(SOAK_MINUTES) $(SOAK_OPTIONS)
 
 EFFECTS_PRESSES ?= 50
 EFFECTS_ROOM ?= ideal

@@ -127,15 +127,16 @@ def watched(
     corners: bool = True,
     started: Callable[[int], None] = lambda pid: None,
     within_s: float = 180.0,
+    real_time: bool = True,
 ) -> Iterator[tuple[RunningGraph, Watcher]]:
     """Start the graph on the simulated bench, home and calibrate it, and return a watcher.
 
     ``extra`` is passed to bring_up. ``started`` is called with its process before that starts others. ``corners`` is
-    for :class:`Watcher`, ``within_s`` limits the preparation.
+    for :class:`Watcher`, ``within_s`` limits the preparation. Delays and rates can be measured in ``real_time`` only.
     """
     os.environ["ROS_DOMAIN_ID"] = str(domain)
     prepare_transport()
-    graph = RunningGraph(folder, domain, "--real-time", *extra)  # delays and rates are measured by the wall clock
+    graph = RunningGraph(folder, domain, *["--real-time"] * real_time, *extra)
     started(graph.process.pid)
     rclpy.init()
     watcher = Watcher(corners)
