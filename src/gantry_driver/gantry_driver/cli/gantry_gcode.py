@@ -235,7 +235,7 @@ class Runner:
 
 
 def _pause_or_resume(machine: Machine, now: float) -> str:
-    return machine.resume(now) if machine.reason == "paused" else machine.pause(now)
+    return machine.resume(now) if machine.paused else machine.pause(now)
 
 
 def run_program(source: Sequence[str], lines: Sequence[CheckedLine], config: DriverConfig) -> int:

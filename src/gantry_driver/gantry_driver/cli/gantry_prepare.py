@@ -31,6 +31,7 @@ from icu_common.adapters.processes.processor_load import LoadMeter, measure_proc
 from icu_common.adapters.processes.program_end import ends_quietly
 from icu_common.core.processes.preparation import Cause, Report, Stage, calibration_report, to_line
 from icu_common.core.processes.processor_load import ProcessorLoad
+from icu_common.core.reasons.state_text import split_state, state_name
 from icu_common.nodes.runtime import own_arguments
 
 DRIVER, CALIBRATION, CONTROLLER = "gantry/driver_state", "calibration/state", "gantry/state"
@@ -52,7 +53,7 @@ class Failed(Exception):
 
 def _advice(driver: str) -> str:
     """Return how to leave a driver's state, as the end of a sentence; empty if the state's reason includes it."""
-    state, _, reason = driver.partition(": ")
+    state, reason = split_state(driver)
     if state in ("stopped", "alarm"):
         return "; look at the machine, then call gantry/reset"
     if state == "mismatch" and reason.startswith("homed at"):
@@ -129,7 +130,7 @@ def prepare(
     narrator.begin(Stage.ENABLING)
     steps.call(SetBool, "gantry/enable", SetBool.Request(data=True))
     # The state may still be the one before the call: homed, but not enabled.
-    if home or session.latest(DRIVER).partition(":")[0] not in ("idle", "disabled"):
+    if home or state_name(session.latest(DRIVER)) not in ("idle", "disabled"):
         narrator.begin(Stage.HOMING)
         steps.call(Trigger, "gantry/home", Trigger.Request(), patience_s=HOME_S)
         steps.follow(DRIVER, "homing", done=lambda text: text == "idle", failed=_BROKEN)
@@ -139,13 +140,13 @@ def prepare(
         lambda: session.latest(CALIBRATION) and "waiting" not in session.latest(CALIBRATION),
         lambda: f"calibration/state: {session.latest(CALIBRATION) or 'nothing'}",
     )
-    calibration = session.latest(CALIBRATION)
-    if calibrate or not calibration.startswith("calibrated"):
-        if not calibration.startswith("calibrating"):
+    calibration = state_name(session.latest(CALIBRATION))
+    if calibrate or calibration != "calibrated":
+        if calibration != "calibrating":
             # Cameras can take longer to start than a machine to home.
             steps.call(Trigger, "calibration/run", Trigger.Request(), patience_s=CAMERA_S)
         narrator.begin(Stage.CALIBRATING)
-        steps.follow(CALIBRATION, "calibration", done=lambda t: t.startswith("calibrated"), failed=("failed",))
+        steps.follow(CALIBRATION, "calibration", done=lambda t: state_name(t) == "calibrated", failed=("failed",))
     narrator.begin(Stage.CONTROLLER)
     steps.wait_ready()
     narrator.begin(Stage.READY)
@@ -212,7 +213,7 @@ class _Steps:
         try:
             self._patiently(
                 lambda until: session.wait_for(
-                    lambda: session.latest(DRIVER).partition(":")[0] not in ("disconnected", "connecting", "homing"),
+                    lambda: state_name(session.latest(DRIVER)) not in ("disconnected", "connecting", "homing"),
                     until,
                     lambda: f"the driver is {session.latest(DRIVER)!r}",
                 ),
@@ -221,7 +222,7 @@ class _Steps:
         except TimedOut as error:
             raise Failed(str(error)) from error
         text = session.latest(DRIVER)
-        if text.partition(":")[0] in _BROKEN:
+        if state_name(text) in _BROKEN:
             raise Failed(f"the driver is {text!r}{_advice(text)}")
 
     def wait(self, condition: Callable[[], Any], missing: str | Callable[[], str]) -> Any:
@@ -271,7 +272,7 @@ class _Steps:
             for text in texts[shown:]:
                 shown += 1
                 self._narrator.state(what, text)
-                if text.partition(":")[0] in failed:
+                if state_name(text) in failed:
                     raise Failed(f"{what}: {text}{_advice(text)}")
                 if done(text):
                     return True
@@ -291,7 +292,7 @@ class _Steps:
             if text != last:
                 last = text
                 self._narrator.say(f"controller: {text}")
-            if text.partition(":")[0] in ("stopped", "alarm"):
+            if state_name(text) in ("stopped", "alarm"):
                 raise Failed(f"the controller is {text!r}")
             return text == "ready"
 

@@ -39,6 +39,7 @@ from icu_common.core.geometry.frames import BASE, CAMERA_LEFT, JOINT_STYLUS, JOI
 from icu_common.core.goals.intent import frame_of
 from icu_common.core.goals.results import GoalResult
 from icu_common.core.processes.delays import is_delayed, with_load
+from icu_common.core.reasons.state_text import state_name
 from icu_common.nodes import qos
 from icu_common.nodes.admission.sources import Judge, SourceWatch
 from icu_common.nodes.alignment.layout_message import layout_of_message
@@ -63,6 +64,8 @@ from icu_common.nodes.timers import every
 
 TICK_S, WALL_TICK_S = 0.05, 0.1
 DIAGNOSTICS_S = 1.0
+LEVELS = {"stopped": "error", "alarm": "error", "waiting": "warn"}
+"""Level of the report on /diagnostics by the name of the state; ok for every other state."""
 LAST_WORDS = Duration(seconds=0.3)
 
 
@@ -264,8 +267,7 @@ class ControllerNode(GraphNode):
     def _diagnose(self) -> None:
         controller = self._controller
         counts = [(outcome.value, count) for outcome, count in controller.counts.items()]
-        faulty = controller.state.startswith(("stopped", "alarm"))
-        level = "error" if faulty else "warn" if controller.state.startswith("waiting") else "ok"
+        level = LEVELS.get(state_name(controller.state), "ok")
         values = [("phase", controller.phase.value), ("goal", controller.goal), *counts]
         self._diagnostics.tell(level, controller.state, values)
 

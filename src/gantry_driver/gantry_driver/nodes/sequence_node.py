@@ -20,6 +20,7 @@ from icu_common.adapters.real_time import steady_s
 from icu_common.core.configuration.text_bounds import plain
 from icu_common.core.goals.results import GoalResult, Outcome
 from icu_common.core.goals.sequence import Sequence, SequenceError, parse_file, unfit
+from icu_common.core.reasons.state_text import state_name
 from icu_common.nodes import qos
 from icu_common.nodes.diagnostics import Diagnostics
 from icu_common.nodes.graph_node import GraphNode
@@ -162,7 +163,7 @@ class SequenceNode(GraphNode):
 
     def _on_tick(self) -> None:
         if (run := self._at_work()) is not None:
-            at_rest = self._controller.partition(":")[0] not in WORKING or bool(self.hindrance())
+            at_rest = state_name(self._controller) not in WORKING or bool(self.hindrance())
             # After a driver has died during a motion, its latched state is still "moving".
             driver = self._driver if self._drivers.get_publisher_count() else ""
             self._act(run.tick(self._now_ns(), at_rest=at_rest, driver=driver))

@@ -45,6 +45,7 @@ from icu_common.core.admission.sources import base_name, distrust_text
 from icu_common.core.configuration.text_bounds import plain
 from icu_common.core.geometry.frames import JOINTS
 from icu_common.core.goals.intent import Intent, read_frame
+from icu_common.core.reasons.state_text import state_name
 from icu_common.nodes.admission.sources import SourceWatch
 from icu_common.nodes.diagnostics import sender_values
 from icu_common.nodes.graph_node import GraphLifecycleNode, this_process
@@ -326,7 +327,7 @@ class SerialDriverNode(GraphLifecycleNode):
             ("heartbeats_from", " ".join(self._heartbeats.senders(self._sources.names("heartbeat")))),
         ]
         values += [("real_time", str(is_real_time())), *sender_values(self)]
-        level = LEVELS.get(state.partition(":")[0], "error")
+        level = LEVELS.get(state_name(state), "error")
         report = diagnostic_status(f"{self.get_name()}: board", level, state, values)
         message = DiagnosticArray(header=header(self._now_ns(), ""), status=[report])
         self._outbox.put(lambda: self._diagnostics.publish(message))

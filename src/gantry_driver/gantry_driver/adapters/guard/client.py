@@ -142,8 +142,9 @@ class GuardLink:
     def run(self, goal_id: str, names: list[str], points: list[Waypoint], **values: Any) -> None:
         """Start a trajectory with the ``values`` of :meth:`Machine.run`; the answers are events."""
         try:
-            if self.ask("run", goal_id=goal_id, names=names, points=waypoint_values(points), **values) == NO_ANSWER:
-                raise FrameError(NO_ANSWER)
+            refusal = self.ask("run", goal_id=goal_id, names=names, points=waypoint_values(points), **values)
+            if refusal is not None:
+                raise FrameError(str(refusal))
         except FrameError as error:
             text = f"{len(points)} points"
             self._say([Answered(result=_result(goal_id, text, Outcome.REJECTED, str(error)))])

@@ -35,6 +35,7 @@ from icu_common.core.geometry.geometry import Array
 from icu_common.core.goals.results import GoalResult, Outcome
 from icu_common.core.panel.gesture import GestureError, parse_gesture
 from icu_common.core.processes.delays import Delay, ResultCode, delay_of
+from icu_common.core.reasons.state_text import state_name
 
 ASK_AGAIN_S = 0.5
 CLEAR_AGAIN_S = 1.0
@@ -232,7 +233,7 @@ class Controller(GoalPhases):
 
     def _take_driver(self, text: str) -> None:
         self._world.driver = text
-        state = text.partition(":")[0]
+        state = state_name(text)
         if state not in ("idle", "moving"):
             self._entered_xy = None  # the motors may be off, or the machine is homed again
         if state in ("disconnected", "connecting"):

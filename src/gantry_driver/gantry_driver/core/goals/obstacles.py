@@ -12,6 +12,7 @@ from gantry_driver.core.job.patience import camera_delay, joints_delay, patient_
 from gantry_driver.core.sight.pair_sight import pair_obstacles
 from gantry_driver.core.states.stylus_state import tells_of_stylus
 from icu_common.core.processes.delays import Delay
+from icu_common.core.reasons.state_text import split_state
 
 _DRIVER_TEXT = {
     "disconnected": "driver disconnected",
@@ -31,13 +32,13 @@ def obstacles(world: World, config: ControllerConfig) -> Iterator[Obstacle]:
     """Yield the obstacles that keep a goal from starting, the most important first."""
     if text := world.rivals.text:
         yield Obstacle(state=f"stopped: {text}", reason=text, every_goal=True)
-    state, _, reason = world.driver.partition(":")
+    state, reason = split_state(world.driver)
     silent = world.readings is None or world.age_s(world.readings_ns) > config.joints_timeout_s
     # After a driver has died during a motion, its latched state is still "moving".
     if state != "idle" and not (state == "moving" and silent):
         shown = world.driver if state in ("stopped", "alarm") else f"waiting: {_DRIVER_TEXT.get(state, state)}"
         if state not in ("stopped", "alarm") and reason:
-            shown += f": {reason.strip()}"
+            shown += f": {reason}"
         shown += world.rivals.clause(world.driver)
         if world.left_behind:
             shown += f"; {world.left_behind}"

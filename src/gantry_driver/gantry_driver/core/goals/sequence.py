@@ -12,6 +12,7 @@ from icu_common.core.configuration.config import Config, setting
 from icu_common.core.goals.results import GoalResult, Outcome
 from icu_common.core.goals.sequence import Check, Sequence, Step
 from icu_common.core.panel.panel_state import PanelSeen, angle_between
+from icu_common.core.reasons.state_text import state_name
 
 NANO = 1_000_000_000
 ANGLE_TOLERANCE_DEG = 3.0
@@ -146,7 +147,7 @@ class SequenceRun:
         jumped_back_s, self._ticked_ns = (self._ticked_ns - now_ns) / NANO, now_ns
         if jumped_back_s > CLOCK_JUMP_S:
             return self.abort(f"the clock jumped back by {jumped_back_s:.1f} s", now_ns)
-        accept_s, state = self._config.accept_timeout_s, driver.partition(":")[0]
+        accept_s, state = self._config.accept_timeout_s, state_name(driver)
         if self._given_up:
             if state in STOPPED:
                 return self.abort(f"{self._given_up}; the machine was told to stop and is {driver!r}", now_ns)

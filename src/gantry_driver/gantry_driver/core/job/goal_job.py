@@ -106,7 +106,7 @@ class Fault:
     """Cause of a goal's early end: ``lift`` if the stylus may rise, ``stop`` if the machine must be held at once.
 
     ``delay`` is the late input if lateness is the only cause, or the finding that is the cause. ``code`` is for
-    ``GoalResult.code``.
+    ``GoalResult.code``. ``tells_touch`` is whether the cause says that the stylus has touched.
     """
 
     cause: str
@@ -114,6 +114,7 @@ class Fault:
     stop: bool = False
     delay: Cause | None = None
     code: str = ""
+    tells_touch: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -208,7 +208,7 @@ class Stopping(BoardSettings):
             # The report is older than the hold, or the firmware does not hold while idle: wait for the hold to show.
             if now - self._since > 1.5 * HOLD_REPEAT_S:
                 self._reset_after_hold(now)
-        elif report.state in ("Alarm", "Sleep", "Tool") or report.substate == 0 or report.state_text == "Door:1":
+        elif report.state in ("Alarm", "Sleep", "Tool") or report.substate == 0 or _at_door(report, 1):
             self._reset_after_hold(now)
 
     def _is_old_hold(self, now: float) -> bool:
@@ -221,7 +221,7 @@ class Stopping(BoardSettings):
     def _report_resetting(self, report: Report, now: float) -> None:
         if self.session.awaiting_banner:
             return
-        if report.state == "Hold" or report.state_text == "Door:0":
+        if report.state == "Hold" or _at_door(report, 0):
             self._reset_after_hold(now)
         elif report.state == "Door":
             # The door is still open: a reset does not leave this state. Nothing may move, even if it closes later.
@@ -284,6 +284,10 @@ class Stopping(BoardSettings):
 
     def _extended_by_axis(self) -> bool:
         return self.config.stylus.kind == "z_axis" and (self._extension_m or 0.0) > STYLUS_DOWN_M
+
+
+def _at_door(report: Report, substate: int) -> bool:
+    return report.state == "Door" and report.substate == substate
 
 
 def elsewhere(mpos_mm: Sequence[float], place_mm: Sequence[float]) -> bool:

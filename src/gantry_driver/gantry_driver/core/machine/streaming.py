@@ -64,7 +64,7 @@ class Streaming(Proving):
     def state_text(self) -> str:
         """The published state; a stop with another reason also names the conflicts that forbid the next motion."""
         text = super().state_text
-        conflicts = self._rivals.not_in(text) if self.phase.state == "stopped" else ""
+        conflicts = self._rivals.besides(self.reason) if self.phase.state == "stopped" else ""
         return f"{text}; {conflicts}" if conflicts else text
 
     def panel(self, plane: PanelPlane, age_s: float, now: float) -> str:
@@ -95,6 +95,11 @@ class Streaming(Proving):
         self.session.realtime(HOLD)
         self._enter(Phase.MOVING, now, "paused")
         return ""
+
+    @property
+    def paused(self) -> bool:
+        """Whether a motion is paused, or its pause has begun."""
+        return self.phase is Phase.MOVING and self._pausing
 
     def resume(self, now: float) -> str:
         """Resume a paused motion."""

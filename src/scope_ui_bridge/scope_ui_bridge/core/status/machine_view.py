@@ -7,6 +7,7 @@ from collections import deque
 from typing import Any
 
 from icu_common.core.geometry.geometry import Transform
+from icu_common.core.reasons.state_text import split_state
 from scope_ui_bridge.core import wire
 from scope_ui_bridge.core.config import BridgeConfig
 from scope_ui_bridge.core.effects import Now
@@ -22,15 +23,6 @@ _MOVING = {
     "calibration": {"calibrating"},
     "sequencer": {"step"},
 }
-
-
-def split_state(text: str) -> tuple[str, str]:
-    """Split ``state: reason`` or ``calibrating 3/12, 9 s left (...)`` into the state's name and the rest."""
-    name, _, reason = text.partition(":")
-    head, _, progress = name.strip().partition(" ")
-    if head == "calibrating":
-        return head, text.strip().removeprefix(head).strip()  # its reason may contain a colon
-    return head, (reason.strip() or progress.strip())
 
 
 class MachineView:
