@@ -52,7 +52,6 @@ TO_MEND = {
     "gantry_driver/cli/gantry_prepare.py": (3, "cause of a mismatch, and cameras that are waited for: no codes"),
     "gantry_driver/core/goals/sequence.py": (2, "effect: no code of it in the result"),
     "gantry_driver/core/states/stylus_state.py": (2, "clause on the stylus in the driver's state"),
-    "gantry_driver/nodes/sequence_node.py": (1, "what the controller waits for: no code of it"),
     "icu_common/core/admission/rivals.py": (1, "conflicts that the driver's state names"),
     "icu_common/core/processes/preparation.py": (1, "progress of a calibration: values on /diagnostics"),
     "scope_ui_bridge/core/control/stop_cause.py": (2, "the driver's reason of a stop: no code of it"),

@@ -35,6 +35,7 @@ from icu_common.core.geometry.geometry import Array
 from icu_common.core.goals.intent import Intent
 from icu_common.core.goals.results import Outcome
 from icu_common.core.processes.delays import Delay, ResultCode
+from icu_common.core.reasons.codes import ControllerCode
 
 
 class GoalRun:
@@ -50,6 +51,8 @@ class GoalRun:
         self._job: Job | None = None
         self._actions: list[msg.Action] = []
         self._state = ""
+        self.code = ControllerCode.WORKING
+        """Code of the state's reason."""
         self._closed = False
         self._now_ns = 0
         self._deadline_ns = 0

@@ -22,6 +22,7 @@ from icu_common.core.goals.intent import Intent
 from icu_common.core.goals.results import Felt, GoalResult, Outcome
 from icu_common.core.panel.gesture import Gesture
 from icu_common.core.panel.panel_state import PanelSeen
+from icu_common.core.reasons.codes import ControllerCode
 
 NANO = 1_000_000_000
 
@@ -121,10 +122,13 @@ class Fault:
 class Obstacle:
     """Reason not to start a goal: ``state`` for /gantry/state, ``reason`` with value and limit for a rejection.
 
+    ``code`` is that of the state, by which other programs decide.
+
     A ``passing`` obstacle may end by itself: cameras on the carriage have not seen the panel from their position, or
     an input is late. ``delay`` names the late input, if nothing else is wrong.
     """
 
+    code: ControllerCode
     state: str
     reason: str
     every_goal: bool
