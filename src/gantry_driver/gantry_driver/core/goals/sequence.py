@@ -9,7 +9,7 @@ import math
 from dataclasses import dataclass
 
 from icu_common.core.configuration.config import Config, setting
-from icu_common.core.goals.results import GoalResult, Outcome
+from icu_common.core.goals.results import EFFECT, EFFECT_MISSING, GoalResult, Outcome
 from icu_common.core.goals.sequence import Check, Sequence, Step
 from icu_common.core.panel.panel_state import PanelSeen, angle_between
 from icu_common.core.reasons.state_text import state_name
@@ -216,9 +216,9 @@ class SequenceRun:
     def _unlike(self, check: Check, answer: GoalResult) -> str:
         """Return what is seen instead of the check's expectation, empty if it is fulfilled."""
         details = dict(answer.details)
-        effect = details.get("effect", "not looked for")
+        effect = details.get(EFFECT, "not looked for")
         if check.kind == "effect":
-            return effect if effect.startswith(("none seen", "not seen: ", "not looked for")) else ""
+            return effect if EFFECT not in details or EFFECT_MISSING in details else ""
         # Only an image taken during this step shows its effect.
         seen = self._seen if self._seen is not None and self._seen.stamp_ns > self._step_ns else None
         if check.kind == "screen":

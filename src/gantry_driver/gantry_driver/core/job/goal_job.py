@@ -11,7 +11,7 @@ import numpy as np
 from gantry_driver.core.contact.heights import HeightFinding
 from gantry_driver.core.contact.lag import Height, Lag
 from gantry_driver.core.contact.press import Evidence
-from gantry_driver.core.job.effects import Effect, Knob
+from gantry_driver.core.job.effects import NOT_LOOKED_FOR, Effect, Knob
 from gantry_driver.core.motion.scene import Scene
 from gantry_driver.core.motion.targets import Touch
 from gantry_driver.core.motion.touch_error import TouchError
@@ -260,7 +260,7 @@ class Job:
         if outcome.final and touch is not None:
             details.append(("corrections", str(self.aim.corrections)))
             details.append(("hover_error_m", f"{self.hover_error_m:.6f}"))
-            details.append(("effect", "not looked for" if self.effect is None else self.effect.text))
+            details += (self.effect or NOT_LOOKED_FOR).details()
         if outcome.final and self.touch_error is not None:
             details += self.touch_error.details()
         if outcome.final and self.touched_ns:
