@@ -65,7 +65,7 @@ class Rig:
         self.panel.publish(panel_state_message(seen, header(seen.stamp_ns, "camera")))
 
     def report(self, state: str, code: ControllerCode) -> None:
-        values = code_values(self.node, "state", {CODE: code.value})
+        values = code_values(self.state.topic_name, {CODE: code.value})
         self.reports.publish(DiagnosticArray(status=[diagnostic_status("gantry controller", "warn", state, values)]))
 
     def final(self, goal_id: str) -> GoalResult:

@@ -48,12 +48,11 @@ FORMATS = {
 }
 """File -> number of lines whose text is written in a format, or by a program of others that has no codes, and why."""
 TO_MEND = {
-    "gantry_driver/cli/gantry_prepare.py": (3, "cause of a mismatch, and cameras that are waited for: no codes"),
+    "gantry_driver/cli/gantry_prepare.py": (1, "cameras that the calibration waits for: no code of it"),
     "gantry_driver/core/goals/sequence.py": (1, "a changed screen: a code of it would change the golden bag's results"),
     "gantry_driver/core/states/stylus_state.py": (2, "clause on the stylus in the driver's state"),
     "icu_common/core/admission/rivals.py": (1, "conflicts that the driver's state names"),
     "icu_common/core/processes/preparation.py": (1, "progress of a calibration: values on /diagnostics"),
-    "scope_ui_bridge/core/control/stop_cause.py": (2, "the driver's reason of a stop: no code of it"),
 }
 """File -> number of lines that still look at words, and at which; a line that is mended is taken off."""
 

@@ -6,6 +6,7 @@ Exit codes: 0 ready, 1 rejected or failed (with the reason), 2 wrong usage, 3 no
 from __future__ import annotations
 
 import argparse
+import contextlib
 import math
 import sys
 import time
@@ -31,7 +32,8 @@ from icu_common.adapters.processes.processor_load import LoadMeter, measure_proc
 from icu_common.adapters.processes.program_end import ends_quietly
 from icu_common.core.processes.preparation import Cause, Report, Stage, calibration_report, to_line
 from icu_common.core.processes.processor_load import ProcessorLoad
-from icu_common.core.reasons.state_text import split_state, state_name
+from icu_common.core.reasons.codes import DriverCode
+from icu_common.core.reasons.state_text import state_name
 from icu_common.nodes.runtime import own_arguments
 
 DRIVER, CALIBRATION, CONTROLLER = "gantry/driver_state", "calibration/state", "gantry/state"
@@ -45,29 +47,26 @@ CAMERA_S = 120.0
 HOME_S = 10.0
 """Seconds during which homing is requested again: on a busy computer the first heartbeats may still be in transit."""
 RETRY_S = 1.0
+CODE_S = 3.0
+"""Maximum seconds to wait for the code of a state, which arrives on another topic than its text."""
 
 
 class Failed(Exception):
     """A step was rejected or has failed; the message gives the reason."""
 
 
-def _advice(driver: str) -> str:
-    """Return how to leave a driver's state, as the end of a sentence; empty if the state's reason includes it."""
-    state, reason = split_state(driver)
-    if state in ("stopped", "alarm"):
-        return "; look at the machine, then call gantry/reset"
-    if state == "mismatch" and reason.startswith("homed at"):
-        return (
-            "; a switch may have been touched: call gantry/reset and prepare once more, which homes again; where it "
-            "ends at the same place, correct travel_mm, pull_off_mm or homing_direction_mask of the configured machine"
-        )
-    if state == "mismatch" and "the configuration says" in reason:
-        return (
-            "; call gantry/write_settings to give the board the configured ones (gantry_gcode settings --write does so "
-            "without a driver), correct machine.* of the configuration where the board is right, or call "
-            "gantry/accept_settings to go on with these differences"
-        )
-    return ""
+_ADVICE = {
+    DriverCode.HOMED_ELSEWHERE.value: (
+        "; a switch may have been touched: call gantry/reset and prepare once more, which homes again; where it "
+        "ends at the same place, correct travel_mm, pull_off_mm or homing_direction_mask of the configured machine"
+    ),
+    DriverCode.SETTINGS_DIFFER.value: (
+        "; call gantry/write_settings to give the board the configured ones (gantry_gcode settings --write does so "
+        "without a driver), correct machine.* of the configuration where the board is right, or call "
+        "gantry/accept_settings to go on with these differences"
+    ),
+}
+"""How to leave a mismatch, as the end of a sentence, by the code of its reason."""
 
 
 class Narrator:
@@ -123,6 +122,7 @@ def prepare(
     """
     for topic in (DRIVER, CALIBRATION):
         session.watch(topic)
+    session.watch_codes(DRIVER)
     narrator = narrator or Narrator()
     steps = _Steps(session, timeout_s, growth, narrator=narrator)
     narrator.begin(Stage.CONNECTING)
@@ -223,7 +223,19 @@ class _Steps:
             raise Failed(str(error)) from error
         text = session.latest(DRIVER)
         if state_name(text) in _BROKEN:
-            raise Failed(f"the driver is {text!r}{_advice(text)}")
+            raise Failed(f"the driver is {text!r}{self._advice(text)}")
+
+    def _advice(self, text: str) -> str:
+        """Return how to leave a driver's state, as the end of a sentence; empty if the state's reason includes it."""
+        session, state = self._session, state_name(text)
+        if state in ("stopped", "alarm"):
+            return "; look at the machine, then call gantry/reset"
+        if state != "mismatch":
+            return ""
+        with contextlib.suppress(TimedOut):  # the driver reports the code beside the text, and again every second
+            until = time.monotonic() + CODE_S
+            session.wait_for(lambda: session.code_of(DRIVER, text) is not None, until, lambda: "no code")
+        return _ADVICE.get(session.code_of(DRIVER, text) or "", "")
 
     def wait(self, condition: Callable[[], Any], missing: str | Callable[[], str]) -> Any:
         """Wait for a condition until the deadline of the whole preparation."""
@@ -273,7 +285,7 @@ class _Steps:
                 shown += 1
                 self._narrator.state(what, text)
                 if state_name(text) in failed:
-                    raise Failed(f"{what}: {text}{_advice(text)}")
+                    raise Failed(f"{what}: {text}{self._advice(text)}")
                 if done(text):
                     return True
             return False

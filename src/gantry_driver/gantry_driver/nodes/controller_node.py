@@ -272,7 +272,7 @@ class ControllerNode(GraphNode):
         counts = [(outcome.value, count) for outcome, count in controller.counts.items()]
         level = LEVELS.get(state_name(controller.state), "ok")
         values = [("phase", controller.phase.value), ("goal", controller.goal), *counts]
-        values += code_values(self, "state", {CODE: controller.code.value})
+        values += code_values(self._state.topic_name, {CODE: controller.code.value})
         self._diagnostics.tell(level, controller.state, values)
 
 

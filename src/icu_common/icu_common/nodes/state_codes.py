@@ -13,9 +13,9 @@ from icu_common.nodes import qos
 from icu_common.nodes.messages.results import pairs_of
 
 
-def code_values(node: Node, topic: str, values: Mapping[str, str]) -> list[tuple[str, str]]:
-    """Return the code and its values as values of a status whose message is the state on a topic of the node."""
-    return [(TOPIC, node.resolve_topic_name(topic)), *values.items()]
+def code_values(topic: str, values: Mapping[str, str]) -> list[tuple[str, str]]:
+    """Return the code and its values as values of a status whose message is the state on a topic, by its full name."""
+    return [(TOPIC, topic), *values.items()]
 
 
 class StateCodes:

@@ -117,7 +117,7 @@ class Controller(GoalPhases):
         self._now_ns, self._closed = now_ns, True
         self._actions = [msg.CallStop(reason=cause), *answers]
         if self._job is not None:
-            self._abort(self._job, f"{cause}; the machine was told to stop")
+            self._abort(self._job, f"{cause}; the machine was told to stop", stopped=True)
         self._set_state(f"stopped: {cause}", ControllerCode.FAILED)
         return self._actions
 

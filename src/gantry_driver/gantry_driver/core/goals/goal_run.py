@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
@@ -35,7 +36,7 @@ from icu_common.core.geometry.geometry import Array
 from icu_common.core.goals.intent import Intent
 from icu_common.core.goals.results import Outcome
 from icu_common.core.processes.delays import Delay, ResultCode
-from icu_common.core.reasons.codes import ControllerCode
+from icu_common.core.reasons.codes import STOP_ASKED, ControllerCode
 
 
 class GoalRun:
@@ -307,7 +308,8 @@ class GoalRun:
         self._job = None
         self._reported = set()
         # A goal that has touched, or that needs a reset, must not be repeated without a person.
-        self._publish(job, outcome, reason, delay, repeatable=not job.touched_ns and not stopped, code=code)
+        repeatable = not job.touched_ns and not stopped
+        self._publish(job, outcome, reason, delay, repeatable=repeatable, code=code, stop_asked=stopped)
 
     def _publish(
         self,
@@ -318,9 +320,12 @@ class GoalRun:
         *,
         repeatable: bool = False,
         code: str = "",
+        stop_asked: bool = False,
     ) -> None:
         self.counts[outcome] += 1
         result = job.result(outcome, reason, self._now_ns, delay, repeatable=repeatable, code=code)
+        if stop_asked:
+            result = replace(result, details=(*result.details, (STOP_ASKED, "yes")))
         self._actions.append(msg.PublishResult(result=result))
 
 

@@ -15,6 +15,7 @@ from gantry_driver.core.grbl.trajectory_gcode import lift_lines, reading_m
 from gantry_driver.core.machine.board_settings import BoardSettings
 from gantry_driver.core.machine.connection import HOLD_REPEAT_S, REFUSED
 from gantry_driver.core.states.machine_states import Note, Phase
+from gantry_driver.core.states.reasons import Why
 from gantry_driver.core.states.stylus_state import STYLUS_DOWN_M, Stylus
 from icu_common.core.goals.results import Outcome
 
@@ -51,7 +52,7 @@ class Stopping(BoardSettings):
         self._moved_mm: tuple[float, ...] | None = None
         """Position in the last report, if the board cannot have moved there."""
 
-    def stop(self, reason: str, now: float, *, hold_written: bool = False) -> None:
+    def stop(self, reason: Why, now: float, *, hold_written: bool = False) -> None:
         """Hold, discard all buffered lines, lift the stylus, and stay stopped until :meth:`reset`.
 
         Parameters
@@ -100,7 +101,7 @@ class Stopping(BoardSettings):
 
     # --- the stop sequence -------------------------------------------------------------------------------------------
 
-    def _halt(self, reason: str, now: float, *, hold_written: bool = False, lift_again: bool = False) -> None:
+    def _halt(self, reason: Why, now: float, *, hold_written: bool = False, lift_again: bool = False) -> None:
         """Begin the stop sequence: hold, wait for the hold, reset, lift; the goal is answered now."""
         self._finish(Outcome.ABORTED, reason, now)
         if self.phase in (Phase.STOPPED, Phase.HOLDING, Phase.RESETTING, Phase.LIFTING):
@@ -181,7 +182,7 @@ class Stopping(BoardSettings):
         self._begin_lift(kept.mpos_mm, self._latched, now)
         return True
 
-    def _begin_lift(self, from_mm: tuple[float, ...] | None, reason: str, now: float) -> None:
+    def _begin_lift(self, from_mm: tuple[float, ...] | None, reason: Why, now: float) -> None:
         self._enter(Phase.LIFTING, now, reason)
         self._marker_done = False
         self._lift_from_mm = from_mm

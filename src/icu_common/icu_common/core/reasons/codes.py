@@ -10,8 +10,11 @@ from collections import OrderedDict
 from collections.abc import Mapping
 from enum import Enum
 
-CODE, TOPIC = "code", "topic"
-"""Keys of a status: the code of the state, and the full name of the topic that the state is published on."""
+CODE, REASON, TOPIC = "code", "reason", "topic"
+"""Keys of a status: the code of a state's reason, the text of this reason alone, and the full name of the state's
+topic."""
+STOP_ASKED = "stop_asked"
+"""Key of a goal's answer whose sender has requested a stop of the machine for the reason of the answer."""
 
 MAX_REPORTS = 50
 """Maximum number of texts of a state whose codes are kept."""
@@ -47,6 +50,22 @@ class ControllerCode(str, Enum):
     CAMERA_MOVED = "camera.moved"
     CAMERA_CHANGING = "camera.changing"
     CAMERA_UNCHECKED = "camera.unchecked"
+
+    def __str__(self) -> str:
+        return self.value
+
+
+class DriverCode(str, Enum):
+    """Why the driver is in its state, where another program decides by it."""
+
+    STOP_REQUESTED = "driver.stop_requested"
+    """A person or a program has requested the stop."""
+    HEARTBEAT_LOST = "driver.heartbeat_lost"
+    """No operator's heartbeat came for too long."""
+    SETTINGS_DIFFER = "driver.settings_differ"
+    """Settings of the board are not those of the configuration."""
+    HOMED_ELSEWHERE = "driver.homed_elsewhere"
+    """The machine homed at another position than its configuration says."""
 
     def __str__(self) -> str:
         return self.value

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Mapping
 from typing import Any
 
 from icu_common.core.geometry.geometry import Transform
+from icu_common.core.reasons.codes import StateReports
 from icu_common.core.reasons.state_text import split_state
 from scope_ui_bridge.core import wire
 from scope_ui_bridge.core.config import BridgeConfig
@@ -30,6 +32,7 @@ class MachineView:
 
     def __init__(self) -> None:
         self._states = dict.fromkeys(_MOVING, "")
+        self._reports = {part: StateReports() for part in _MOVING}
         self._confidence = math.nan
         self._confidence_s = -math.inf
         self._position: tuple[float, float, float] | None = None
@@ -101,6 +104,14 @@ class MachineView:
         self._moving_since_s = min(self._moving_since_s, now.graph_s)
         silence_s = now.graph_s - self._picture_s
         return silence_s if silence_s < now.graph_s - self._moving_since_s + 1.0 else 0.0
+
+    def set_report(self, part: str, text: str, values: Mapping[str, str]) -> None:
+        """Set the code and its values that a part has reported with the text of a state."""
+        self._reports[part].take(text, values)
+
+    def reported(self, part: str) -> Mapping[str, str] | None:
+        """Return the code and its values that a part has reported with its state, None if not yet."""
+        return self._reports[part].values_of(self._states[part])
 
     # --- checks ----------------------------------------------------------------------------------------------------
 
