@@ -62,6 +62,11 @@ class Operator:
     def state(self, text: str, within_s: float = 15.0) -> None:
         self.until(lambda: self.states and self.states[-1].startswith(text), within_s)
 
+    def reported(self, text: str) -> dict[str, str]:
+        """Return the values of the newest report on ``/diagnostics`` with this state, none before the first."""
+        found = [m.status[0] for m in self.diagnostics if m.status and m.status[0].message == text]
+        return {pair.key: pair.value for pair in found[-1].values} if found else {}
+
     def call(self, name: str, service: Any = Trigger, **fields: Any) -> Any:
         client = self.node.create_client(service, name)
         self.until(client.service_is_ready)

@@ -16,10 +16,12 @@ from gantry_driver.nodes.sequence_node import SequenceNode
 from icu_common.adapters.real_time import steady_s
 from icu_common.core.goals.results import GoalResult, Outcome
 from icu_common.core.panel.panel_state import ControlSeen, PanelSeen
+from icu_common.core.reasons.codes import CODE, ControllerCode
 from icu_common.nodes import qos
 from icu_common.nodes.messages.heads import header
 from icu_common.nodes.messages.panels import panel_state_message
-from icu_common.nodes.messages.results import result_message, result_of_message
+from icu_common.nodes.messages.results import diagnostic_status, result_message, result_of_message
+from icu_common.nodes.state_codes import code_values
 
 
 class Rig:
@@ -37,8 +39,9 @@ class Rig:
         self.panel = self.probe.create_publisher(DiagnosticArray, "panel/state", qos.RESULTS)
         self.state = self.probe.create_publisher(String, "state", qos.LATCHED)
         self.driver = self.probe.create_publisher(String, "driver_state", qos.LATCHED)
+        self.reports = self.probe.create_publisher(DiagnosticArray, "/diagnostics", qos.RESULTS)
         self.stops: list[Empty] = ros.collect(self.probe, Empty, "stop_request", qos.RESULTS)
-        for publisher in (self.sequence, self.result, self.panel, self.state, self.driver):
+        for publisher in (self.sequence, self.result, self.panel, self.state, self.driver, self.reports):
             ros.spin_until(lambda p=publisher: p.get_subscription_count() == 1, 10.0)
         for topic in ("command", "sequence_result", "sequence_state", "stop_request"):
             ros.spin_until(lambda t=topic: self.probe.count_publishers(t) == 1, 10.0)
@@ -60,6 +63,10 @@ class Rig:
         stamp = self.now_ns() + int(ahead_s * 1e9)
         seen = PanelSeen(stamp_ns=stamp, controls=(ControlSeen(name="RUN_STOP", kind="button", lamp=lamp),))
         self.panel.publish(panel_state_message(seen, header(seen.stamp_ns, "camera")))
+
+    def report(self, state: str, code: ControllerCode) -> None:
+        values = code_values(self.state.topic_name, {CODE: code.value})
+        self.reports.publish(DiagnosticArray(status=[diagnostic_status("gantry controller", "warn", state, values)]))
 
     def final(self, goal_id: str) -> GoalResult:
         def last() -> GoalResult | None:
@@ -135,23 +142,33 @@ def test_a_value_that_cannot_be_read_does_not_end_the_sequencer(ros: Any) -> Non
 
 
 @pytest.mark.parametrize(
-    "state",
+    ("state", "code"),
     [
-        "stopped: operator",
-        "alarm: 1 hard limit",
-        "waiting: no operator (heartbeat)",
-        "waiting: not enabled",
-        "waiting: driver disconnected: unplugged",
+        ("stopped: operator", None),
+        ("alarm: 1 hard limit", None),
+        ("waiting: no operator (heartbeat)", ControllerCode.NO_OPERATOR),
+        ("waiting: not enabled", ControllerCode.DRIVER_NOT_READY),
+        ("waiting: driver disconnected: unplugged", ControllerCode.DRIVER_NOT_READY),
     ],
 )
-def test_what_ends_a_gesture_ends_a_sequence_that_waits_for_a_check_too(ros: Any, state: str) -> None:
+@pytest.mark.parametrize("first", ["text", "code"])
+def test_what_ends_a_gesture_ends_a_sequence_that_waits_for_a_check_too(
+    ros: Any, state: str, code: ControllerCode | None, first: str
+) -> None:
     rig = Rig(ros)
     steps = "{do: press:RUN_STOP, check: 'lamp:RUN_STOP=red', within_s: 60}, 'press:SAVE'"
     rig.sequence.publish(String(data=f"id: mine\nsteps: [{steps}]"))
     rig.wait_for_command(1)
     rig.reach("mine.1")
     ros.spin_until(lambda: rig.node._run._answer is not None, 10.0)
+    if first == "code" and code is not None:
+        rig.report(state, code)
+        ros.spin_until(lambda: rig.node._codes.values_of(state), 10.0)
     rig.state.publish(String(data=state))
+    if first == "text" and code is not None:
+        ros.spin_until(lambda: rig.node._controller == state, 10.0)
+        assert rig.node._run is not None, "no program decides by the words"
+        rig.report(state, code)
     ended = rig.final("mine")
     assert ended.outcome is Outcome.ABORTED and ended.reason.endswith(f"press:RUN_STOP: {state}")
     rig.state.publish(String(data="ready"))
@@ -174,6 +191,38 @@ def test_a_stop_that_was_reset_while_the_sequencer_was_held_up_ends_it(ros: Any)
     ros.spin_until(lambda: (rig.see("red"), rig.node._run is None)[1], 10.0)
     ended = rig.final("mine")
     assert ended.outcome is Outcome.ABORTED and ended.reason.endswith("press:RUN_STOP: stopped: operator")
+
+
+def test_an_operator_who_was_absent_while_the_sequencer_was_held_up_ends_it(ros: Any) -> None:
+    """The codes of both states come after the newer state: the older one still has its own."""
+    rig = Rig(ros)
+    rig.sequence.publish(
+        String(data="id: mine\nsteps: [{do: press:RUN_STOP, check: 'lamp:RUN_STOP=red', within_s: 60}]")
+    )
+    rig.wait_for_command(1)
+    rig.reach("mine.1")
+    ros.spin_until(lambda: rig.node._run._answer is not None, 10.0)
+    rig.state.publish(String(data="waiting: no operator (heartbeat)"))
+    rig.state.publish(String(data="ready"))
+    ros.spin_until(lambda: rig.node._controller == "ready", 10.0)
+    rig.report("ready", ControllerCode.READY)
+    rig.report("waiting: no operator (heartbeat)", ControllerCode.NO_OPERATOR)
+    ended = rig.final("mine")
+    assert ended.outcome is Outcome.ABORTED and ended.reason.endswith("waiting: no operator (heartbeat)")
+
+
+def test_a_state_in_which_the_machine_can_continue_ends_no_sequence(ros: Any) -> None:
+    rig = Rig(ros)
+    rig.sequence.publish(
+        String(data="id: mine\nsteps: [{do: press:RUN_STOP, check: 'lamp:RUN_STOP=red', within_s: 60}, 'press:SAVE']")
+    )
+    rig.wait_for_command(1)
+    rig.reach("mine.1")
+    ros.spin_until(lambda: rig.node._run._answer is not None, 10.0)
+    rig.report("waiting: not calibrated", ControllerCode.NOT_CALIBRATED)
+    rig.state.publish(String(data="waiting: not calibrated"))
+    ros.spin_until(lambda: rig.node._controller and not rig.node._unjudged, 10.0)
+    ros.spin_until(lambda: (rig.see("red"), len(rig.commands) == 2)[1], 10.0)
 
 
 def test_a_clock_that_was_set_back_ends_it_at_once_and_not_when_the_time_has_come_again(ros: Any) -> None:

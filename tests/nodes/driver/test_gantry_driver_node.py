@@ -32,6 +32,7 @@ from gantry_driver.nodes import serial_driver_node
 from gantry_driver.nodes.serial_driver_node import LINK_CHECK_S, SerialDriverNode
 from icu_common.adapters.real_time import steady_s
 from icu_common.core.geometry.frames import JOINTS
+from icu_common.core.reasons.codes import DriverCode
 from icu_common.nodes.qos import RESULTS
 
 pytestmark = [pytest.mark.long, pytest.mark.alone]  # the board and the driver keep real time
@@ -250,6 +251,7 @@ def test_stop_is_latched_until_reset(operator: Callable[..., Operator], way: str
     op.state("stopped: stop requested")
     op.until(lambda: op.results and op.results[-1].outcome.value == "aborted")
     assert op.results[-1].reason == "stop requested"
+    op.until(lambda: op.reported("stopped: stop requested").get("code") == DriverCode.STOP_REQUESTED)
     op.go((0.1, 0.0, 0.0))
     op.until(lambda: op.results and op.results[-1].outcome.value == "rejected")
     assert "stopped" in op.results[-1].reason
@@ -263,6 +265,7 @@ def test_stop_is_latched_until_reset(operator: Callable[..., Operator], way: str
 def test_settings_that_differ_block_motion_until_accepted(operator: Callable[..., Operator]) -> None:
     op = operator("--set", "110=500")
     op.state("mismatch: $110 is 500.000, the configuration says 12000")
+    op.until(lambda: op.reported(op.states[-1]).get("code") == DriverCode.SETTINGS_DIFFER)
     op.call("enable", SetBool, data=True)
     assert "mismatch" in op.call("home").message
     answer = op.call("accept_settings")

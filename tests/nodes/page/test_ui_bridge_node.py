@@ -41,6 +41,7 @@ from icu_common.core.goals.results import GoalResult, Outcome
 from icu_common.core.panel.gesture import parse_gesture
 from icu_common.core.panel.panel_layout import load_layout
 from icu_common.core.panel.panel_state import ControlSeen, PanelSeen
+from icu_common.core.reasons.codes import CODE, DriverCode
 from icu_common.nodes import qos
 from icu_common.nodes.messages.cameras import camera_info_message, image_message
 from icu_common.nodes.messages.clouds import cloud_message
@@ -48,7 +49,8 @@ from icu_common.nodes.messages.heads import header, stamp_ns
 from icu_common.nodes.messages.joints import joint_message, trajectory_message
 from icu_common.nodes.messages.panels import controls_message, panel_state_message
 from icu_common.nodes.messages.places import point_message, pose_message, transform_message
-from icu_common.nodes.messages.results import result_message
+from icu_common.nodes.messages.results import diagnostic_status, result_message
+from icu_common.nodes.state_codes import code_values
 from scope_ui_bridge.core.config import BridgeConfig
 from scope_ui_bridge.core.control import stop_cause
 from scope_ui_bridge.nodes import foxglove_sidecar
@@ -529,6 +531,20 @@ def test_what_has_ended_is_in_no_state_any_more(ros: Any, bridge: Any) -> None:
     graph.publish("gantry/state", String(data="waiting: not homed"))
     back = lambda: browser.state()["controller"] == {"state": "waiting", "reason": "not homed"}  # noqa: E731
     ros.spin_until(back, WITHIN_S, browser.state)
+
+
+def test_stop_of_the_driver_is_explained_by_the_code_on_the_diagnostics(ros: Any, bridge: Any) -> None:
+    graph, browser, _, _ = bridge
+    shown(ros, graph, browser)
+    text = "stopped: operator's heartbeat lost: 0.61 s old, 0.6 s are allowed"
+    values = code_values("/gantry/driver_state", {CODE: DriverCode.HEARTBEAT_LOST.value})
+    report = DiagnosticArray(status=[diagnostic_status("driver: board", "warn", text, values)])
+    reports = graph.probe.create_publisher(DiagnosticArray, "/diagnostics", qos.RESULTS)
+    ros.spin_until(lambda: reports.get_subscription_count() > 0, WITHIN_S)
+    reports.publish(report)
+    graph.publish("gantry/driver_state", String(data=text))
+    explained = lambda: (browser.state()["stop_cause"] or {}).get("code") == "stopped_heartbeat"  # noqa: E731
+    ros.spin_until(explained, WITHIN_S, browser.state)
 
 
 def test_state_of_a_foreign_program_is_replaced_once_it_has_left(ros: Any, bridge: Any) -> None:

@@ -13,6 +13,7 @@ from gantry_driver.adapters.guard.server import Guard
 from gantry_driver.core.configuration.machine_config import DriverConfig
 from gantry_driver.core.guard.messages import FrameReader, config_values, frame
 from gantry_driver.core.states.machine_states import StateChanged
+from gantry_driver.core.states.reasons import Why
 from icu_common.adapters.unix_listener import listen_at
 
 
@@ -82,11 +83,11 @@ class NotedLink:
     """Keeps the reasons of stops."""
 
     def __init__(self) -> None:
-        self.stops: list[str] = []
+        self.stops: list[Why] = []
         self.alive, self.wakes, self.closed = True, 0, ""
         self.opened: os.stat_result | None = None
 
-    def stop(self, reason: str) -> None:
+    def stop(self, reason: Why) -> None:
         self.stops.append(reason)
 
     def wake(self) -> None:

@@ -303,6 +303,7 @@ class Rig:
         self.beating = True
         self.connected = True
         self.states: list[str] = []
+        self.codes: dict[str, str] = {}
         self.results: list[GoalResult] = []
         self.positions: list[tuple[float, float, float]] = []
         self.events: list[Event] = []
@@ -348,10 +349,16 @@ class Rig:
             self.events.append(event)
             if isinstance(event, StateChanged):
                 self.states.append(event.text)
+                self.codes = dict(event.codes)
             elif isinstance(event, Answered):
                 self.results.append(event.result)
             elif isinstance(event, Position):
                 self.positions.append(event.reading_m)
+
+    def code(self) -> str:
+        """Return the code that the machine has published with its newest state, empty for none."""
+        assert self.codes == dict(self.machine.codes()), "the report of every second has the same one"
+        return self.codes.get("code", "")
 
     def until(self, condition: Callable[[], Any], within_s: float = 10.0) -> None:
         end = self.now + within_s

@@ -169,7 +169,7 @@ class GrblClient:
         """Hold the running program, or continue a held one; return the reason of a rejection, or ""."""
 
         def toggle(machine: Machine, now: float) -> str:
-            return machine.resume(now) if machine.reason == "paused" else machine.pause(now)
+            return machine.resume(now) if machine.paused else machine.pause(now)
 
         return self._link.call(toggle)
 

@@ -22,6 +22,7 @@ from gantry_driver.adapters.wake_pipe import WakePipe
 from gantry_driver.core.grbl.session import HOLD
 from gantry_driver.core.machine.machine import Machine
 from gantry_driver.core.states.machine_states import CloseRequested, Event, Note
+from gantry_driver.core.states.reasons import Why
 from icu_common.adapters.real_time import steady_s
 
 T = TypeVar("T")
@@ -89,7 +90,7 @@ class SerialLink:
         self._poller.register(self._wake_pipe.read_fd, select.POLLIN)
         self._writing = False
         self._thread = threading.Thread(target=self._run, name="serial-link", daemon=True)
-        self._stop_asked = ""
+        self._stop_asked: Why = ""
         self.opened: os.stat_result | None = None
         """File status of the last opened device."""
 
@@ -114,7 +115,7 @@ class SerialLink:
         self._wake_pipe.wake()
         return result
 
-    def stop(self, reason: str) -> None:
+    def stop(self, reason: Why) -> None:
         """Write a feed hold to the port now, ahead of all queues, then let the machine carry out its stop sequence.
 
         A retreat of the stylus that is in progress is not held; it finishes.

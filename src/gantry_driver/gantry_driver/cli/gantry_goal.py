@@ -32,7 +32,7 @@ from gantry_driver.cli.operator_session import (
 from gantry_driver.core.job.goal_job import WORKING
 from icu_common.adapters.processes.program_end import ends_quietly
 from icu_common.core.geometry.frames import BASE, CAMERA_LEFT, PANEL
-from icu_common.core.goals.results import GoalResult, Outcome
+from icu_common.core.goals.results import EFFECT, EFFECT_MISSING, EffectMissing, GoalResult, Outcome
 from icu_common.core.panel.gesture import Gesture, GestureError, Point, parse_gesture
 from icu_common.core.processes.delays import ResultCode
 from icu_common.nodes import qos
@@ -216,8 +216,8 @@ def describe(result: GoalResult) -> str:
         return f"{result.outcome.value}{_felt(result)}{reason}"
     details = dict(result.details)
     by = details.get("measured_by", "")
-    effect = details.get("effect", "")
-    seen = f", {effect}" if effect and effect != "not looked for" else ""
+    effect = details.get(EFFECT, "")
+    seen = f", {effect}" if effect and details.get(EFFECT_MISSING) != EffectMissing.NOT_LOOKED_FOR else ""
     error = "not measured" if math.isnan(result.error_m) else f"{1000 * result.error_m:.3f} mm (by {by})"
     noted = f"; {result.reason}" if result.reason else ""
     return f"reached{_felt(result)}: {result.goal}, error {error}{seen}, {result.duration_s:.1f} s{noted}"

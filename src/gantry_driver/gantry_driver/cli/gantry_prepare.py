@@ -6,6 +6,7 @@ Exit codes: 0 ready, 1 rejected or failed (with the reason), 2 wrong usage, 3 no
 from __future__ import annotations
 
 import argparse
+import contextlib
 import math
 import sys
 import time
@@ -31,6 +32,8 @@ from icu_common.adapters.processes.processor_load import LoadMeter, measure_proc
 from icu_common.adapters.processes.program_end import ends_quietly
 from icu_common.core.processes.preparation import Cause, Report, Stage, calibration_report, to_line
 from icu_common.core.processes.processor_load import ProcessorLoad
+from icu_common.core.reasons.codes import DriverCode
+from icu_common.core.reasons.state_text import state_name
 from icu_common.nodes.runtime import own_arguments
 
 DRIVER, CALIBRATION, CONTROLLER = "gantry/driver_state", "calibration/state", "gantry/state"
@@ -44,29 +47,26 @@ CAMERA_S = 120.0
 HOME_S = 10.0
 """Seconds during which homing is requested again: on a busy computer the first heartbeats may still be in transit."""
 RETRY_S = 1.0
+CODE_S = 3.0
+"""Maximum seconds to wait for the code of a state, which arrives on another topic than its text."""
 
 
 class Failed(Exception):
     """A step was rejected or has failed; the message gives the reason."""
 
 
-def _advice(driver: str) -> str:
-    """Return how to leave a driver's state, as the end of a sentence; empty if the state's reason includes it."""
-    state, _, reason = driver.partition(": ")
-    if state in ("stopped", "alarm"):
-        return "; look at the machine, then call gantry/reset"
-    if state == "mismatch" and reason.startswith("homed at"):
-        return (
-            "; a switch may have been touched: call gantry/reset and prepare once more, which homes again; where it "
-            "ends at the same place, correct travel_mm, pull_off_mm or homing_direction_mask of the configured machine"
-        )
-    if state == "mismatch" and "the configuration says" in reason:
-        return (
-            "; call gantry/write_settings to give the board the configured ones (gantry_gcode settings --write does so "
-            "without a driver), correct machine.* of the configuration where the board is right, or call "
-            "gantry/accept_settings to go on with these differences"
-        )
-    return ""
+_ADVICE = {
+    DriverCode.HOMED_ELSEWHERE.value: (
+        "; a switch may have been touched: call gantry/reset and prepare once more, which homes again; where it "
+        "ends at the same place, correct travel_mm, pull_off_mm or homing_direction_mask of the configured machine"
+    ),
+    DriverCode.SETTINGS_DIFFER.value: (
+        "; call gantry/write_settings to give the board the configured ones (gantry_gcode settings --write does so "
+        "without a driver), correct machine.* of the configuration where the board is right, or call "
+        "gantry/accept_settings to go on with these differences"
+    ),
+}
+"""How to leave a mismatch, as the end of a sentence, by the code of its reason."""
 
 
 class Narrator:
@@ -122,6 +122,7 @@ def prepare(
     """
     for topic in (DRIVER, CALIBRATION):
         session.watch(topic)
+    session.watch_codes(DRIVER)
     narrator = narrator or Narrator()
     steps = _Steps(session, timeout_s, growth, narrator=narrator)
     narrator.begin(Stage.CONNECTING)
@@ -129,7 +130,7 @@ def prepare(
     narrator.begin(Stage.ENABLING)
     steps.call(SetBool, "gantry/enable", SetBool.Request(data=True))
     # The state may still be the one before the call: homed, but not enabled.
-    if home or session.latest(DRIVER).partition(":")[0] not in ("idle", "disabled"):
+    if home or state_name(session.latest(DRIVER)) not in ("idle", "disabled"):
         narrator.begin(Stage.HOMING)
         steps.call(Trigger, "gantry/home", Trigger.Request(), patience_s=HOME_S)
         steps.follow(DRIVER, "homing", done=lambda text: text == "idle", failed=_BROKEN)
@@ -139,13 +140,13 @@ def prepare(
         lambda: session.latest(CALIBRATION) and "waiting" not in session.latest(CALIBRATION),
         lambda: f"calibration/state: {session.latest(CALIBRATION) or 'nothing'}",
     )
-    calibration = session.latest(CALIBRATION)
-    if calibrate or not calibration.startswith("calibrated"):
-        if not calibration.startswith("calibrating"):
+    calibration = state_name(session.latest(CALIBRATION))
+    if calibrate or calibration != "calibrated":
+        if calibration != "calibrating":
             # Cameras can take longer to start than a machine to home.
             steps.call(Trigger, "calibration/run", Trigger.Request(), patience_s=CAMERA_S)
         narrator.begin(Stage.CALIBRATING)
-        steps.follow(CALIBRATION, "calibration", done=lambda t: t.startswith("calibrated"), failed=("failed",))
+        steps.follow(CALIBRATION, "calibration", done=lambda t: state_name(t) == "calibrated", failed=("failed",))
     narrator.begin(Stage.CONTROLLER)
     steps.wait_ready()
     narrator.begin(Stage.READY)
@@ -212,7 +213,7 @@ class _Steps:
         try:
             self._patiently(
                 lambda until: session.wait_for(
-                    lambda: session.latest(DRIVER).partition(":")[0] not in ("disconnected", "connecting", "homing"),
+                    lambda: state_name(session.latest(DRIVER)) not in ("disconnected", "connecting", "homing"),
                     until,
                     lambda: f"the driver is {session.latest(DRIVER)!r}",
                 ),
@@ -221,8 +222,20 @@ class _Steps:
         except TimedOut as error:
             raise Failed(str(error)) from error
         text = session.latest(DRIVER)
-        if text.partition(":")[0] in _BROKEN:
-            raise Failed(f"the driver is {text!r}{_advice(text)}")
+        if state_name(text) in _BROKEN:
+            raise Failed(f"the driver is {text!r}{self._advice(text)}")
+
+    def _advice(self, text: str) -> str:
+        """Return how to leave a driver's state, as the end of a sentence; empty if the state's reason includes it."""
+        session, state = self._session, state_name(text)
+        if state in ("stopped", "alarm"):
+            return "; look at the machine, then call gantry/reset"
+        if state != "mismatch":
+            return ""
+        with contextlib.suppress(TimedOut):  # the driver reports the code beside the text, and again every second
+            until = time.monotonic() + CODE_S
+            session.wait_for(lambda: session.code_of(DRIVER, text) is not None, until, lambda: "no code")
+        return _ADVICE.get(session.code_of(DRIVER, text) or "", "")
 
     def wait(self, condition: Callable[[], Any], missing: str | Callable[[], str]) -> Any:
         """Wait for a condition until the deadline of the whole preparation."""
@@ -271,8 +284,8 @@ class _Steps:
             for text in texts[shown:]:
                 shown += 1
                 self._narrator.state(what, text)
-                if text.partition(":")[0] in failed:
-                    raise Failed(f"{what}: {text}{_advice(text)}")
+                if state_name(text) in failed:
+                    raise Failed(f"{what}: {text}{self._advice(text)}")
                 if done(text):
                     return True
             return False
@@ -291,7 +304,7 @@ class _Steps:
             if text != last:
                 last = text
                 self._narrator.say(f"controller: {text}")
-            if text.partition(":")[0] in ("stopped", "alarm"):
+            if state_name(text) in ("stopped", "alarm"):
                 raise Failed(f"the controller is {text!r}")
             return text == "ready"
 

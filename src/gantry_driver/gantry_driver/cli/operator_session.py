@@ -26,12 +26,15 @@ from rclpy.publisher import Publisher
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 from std_msgs.msg import Empty, Float32, Header, String
 
+from icu_common.core.configuration.text_bounds import plain
 from icu_common.core.goals.results import GoalResult
+from icu_common.core.reasons.codes import CODE
 from icu_common.nodes import qos
 from icu_common.nodes.graph_node import CLOCK_TOPIC
 from icu_common.nodes.messages.heads import time_message
 from icu_common.nodes.messages.results import result_of_message
 from icu_common.nodes.runtime import prepare_transport, start_rclpy
+from icu_common.nodes.state_codes import StateCodes
 from icu_common.nodes.timers import every, runs_by_clock_topic
 
 REACHED, FAILED, USAGE, TIMED_OUT = 0, 1, 2, 3
@@ -78,6 +81,7 @@ class OperatorSession:
         self.interrupted = False
         self.results = self.hear("gantry/result")
         self.states: dict[str, list[str]] = {}
+        self._codes: dict[str, StateCodes] = {}
         self._executor = SingleThreadedExecutor(context=node.context)
         self._executor.add_node(node)
         self._heartbeat = node.create_publisher(Header, "operator/heartbeat", qos.RESULTS)
@@ -100,6 +104,15 @@ class OperatorSession:
         """Collect the texts of a latched state topic in ``states[topic]``."""
         texts = self.states.setdefault(topic, [])
         self.node.create_subscription(String, topic, lambda m: texts.append(m.data), qos.EACH_LATCHED)
+
+    def watch_codes(self, topic: str) -> None:
+        """Collect the codes that a state topic's program reports on ``/diagnostics``."""
+        self._codes[topic] = StateCodes(self.node, topic)
+
+    def code_of(self, topic: str, text: str) -> str | None:
+        """Return the code that was reported with a text of a state topic: empty without one, None if not yet known."""
+        values = self._codes[topic].values_of(plain(text))
+        return None if values is None else values.get(CODE, "")
 
     def hear(self, topic: str) -> list[GoalResult]:
         """Return the list that collects the answers on a topic; invalid answers are logged."""

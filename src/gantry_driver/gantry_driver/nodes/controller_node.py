@@ -39,6 +39,8 @@ from icu_common.core.geometry.frames import BASE, CAMERA_LEFT, JOINT_STYLUS, JOI
 from icu_common.core.goals.intent import frame_of
 from icu_common.core.goals.results import GoalResult
 from icu_common.core.processes.delays import is_delayed, with_load
+from icu_common.core.reasons.codes import CODE
+from icu_common.core.reasons.state_text import state_name
 from icu_common.nodes import qos
 from icu_common.nodes.admission.sources import Judge, SourceWatch
 from icu_common.nodes.alignment.layout_message import layout_of_message
@@ -59,10 +61,13 @@ from icu_common.nodes.messages.places import (
 from icu_common.nodes.messages.results import result_message, result_of_message
 from icu_common.nodes.parameters import LiveParameters
 from icu_common.nodes.runtime import run
+from icu_common.nodes.state_codes import code_values
 from icu_common.nodes.timers import every
 
 TICK_S, WALL_TICK_S = 0.05, 0.1
 DIAGNOSTICS_S = 1.0
+LEVELS = {"stopped": "error", "alarm": "error", "waiting": "warn"}
+"""Level of the report on /diagnostics by the name of the state; ok for every other state."""
 LAST_WORDS = Duration(seconds=0.3)
 
 
@@ -235,6 +240,7 @@ class ControllerNode(GraphNode):
                 case msg.ReportDelay():
                     self._load.describe(partial(self._report_delay, f"{action.delay.text()}; {action.then}"))
                 case msg.SetState():
+                    self._diagnose()  # before the text, whose code other programs look for there
                     self._state.publish(String(data=action.text))
                 case msg.ShowTarget():
                     self._target.publish(point_message(action.in_base, header(self._now_ns(), BASE)))
@@ -264,9 +270,9 @@ class ControllerNode(GraphNode):
     def _diagnose(self) -> None:
         controller = self._controller
         counts = [(outcome.value, count) for outcome, count in controller.counts.items()]
-        faulty = controller.state.startswith(("stopped", "alarm"))
-        level = "error" if faulty else "warn" if controller.state.startswith("waiting") else "ok"
+        level = LEVELS.get(state_name(controller.state), "ok")
         values = [("phase", controller.phase.value), ("goal", controller.goal), *counts]
+        values += code_values(self._state.topic_name, {CODE: controller.code.value})
         self._diagnostics.tell(level, controller.state, values)
 
 

@@ -8,18 +8,20 @@ return. A hold-up of this process also ends it, because the sender has meanwhile
 
 from __future__ import annotations
 
+from collections import deque
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 from std_msgs.msg import Empty, String
 
-from gantry_driver.core.goals.obstacles import AT_AN_END
 from gantry_driver.core.goals.sequence import Action, SendCommand, SequenceConfig, SequenceRun, StopMachine
 from gantry_driver.core.job.goal_job import WORKING
 from icu_common.adapters.real_time import steady_s
 from icu_common.core.configuration.text_bounds import plain
 from icu_common.core.goals.results import GoalResult, Outcome
 from icu_common.core.goals.sequence import Sequence, SequenceError, parse_file, unfit
+from icu_common.core.reasons.codes import CODE, MAX_REPORTS, NOT_OPERABLE
+from icu_common.core.reasons.state_text import state_name
 from icu_common.nodes import qos
 from icu_common.nodes.diagnostics import Diagnostics
 from icu_common.nodes.graph_node import GraphNode
@@ -28,6 +30,7 @@ from icu_common.nodes.messages.panels import panel_state_of_message
 from icu_common.nodes.messages.results import result_message, result_of_message
 from icu_common.nodes.parameters import LiveParameters
 from icu_common.nodes.runtime import run
+from icu_common.nodes.state_codes import StateCodes
 from icu_common.nodes.timers import every, runs_by_clock_topic, seconds_of
 
 TICK_S = 0.1
@@ -51,6 +54,8 @@ class SequenceNode(GraphNode):
         self._awake_s = self._steady_s()
         self._panel: DiagnosticArray | None = None
         self._controller = self._driver = ""
+        self._unjudged: deque[str] = deque(maxlen=MAX_REPORTS)
+        """States of the controller since the start of the sequence whose codes have not been reported yet."""
         self._count = 0
         self._command = self.create_publisher(String, "command", qos.COMMAND)
         self._stop = self.create_publisher(Empty, "stop_request", qos.RESULTS)
@@ -58,6 +63,7 @@ class SequenceNode(GraphNode):
         self._state = self.create_publisher(String, "sequence_state", qos.LATCHED)
         self._diagnostics = Diagnostics(self)
         # After a hold-up, executors other than our own take waiting messages in this order: a stop comes first.
+        self._codes = StateCodes(self, "state", self._judge_controller)
         self.create_subscription(String, "state", self._on_controller, qos.EACH_LATCHED)
         self._drivers = self.create_subscription(String, "driver_state", self._on_driver, qos.EACH_LATCHED)
         self._results = self.create_subscription(DiagnosticArray, "result", self._on_result, qos.RESULTS)
@@ -107,6 +113,7 @@ class SequenceNode(GraphNode):
             refused = GoalResult(goal_id=run_id, goal="sequence", outcome=Outcome.REJECTED, reason=str(error))
             self._answers.publish(result_message(refused, self._now_ns()))
             return
+        self._unjudged.clear()
         self._run = SequenceRun(sequence, run_id, self._live.config)
         self._act(self._run.start(self._now_ns()))
 
@@ -151,8 +158,19 @@ class SequenceNode(GraphNode):
             return
         if changed:
             run.sign(self._now_ns())
-        if state.startswith(AT_AN_END):
-            self._act(run.stopped(state, self._now_ns()))
+        self._unjudged.append(state)
+        self._judge_controller()
+
+    def _judge_controller(self) -> None:
+        """End the sequence in progress if the machine cannot continue: by the name of a state, or by its code."""
+        texts, self._unjudged = self._unjudged, deque(maxlen=MAX_REPORTS)
+        for text in texts:
+            values = self._codes.values_of(text)
+            stopped = state_name(text) in ("stopped", "alarm") or (values or {}).get(CODE) in NOT_OPERABLE
+            if values is None and not stopped:
+                self._unjudged.append(text)
+            elif stopped and (run := self._at_work()) is not None:
+                self._act(run.stopped(text, self._now_ns()))
 
     def _on_driver(self, message: String) -> None:
         state = plain(message.data)
@@ -162,7 +180,7 @@ class SequenceNode(GraphNode):
 
     def _on_tick(self) -> None:
         if (run := self._at_work()) is not None:
-            at_rest = self._controller.partition(":")[0] not in WORKING or bool(self.hindrance())
+            at_rest = state_name(self._controller) not in WORKING or bool(self.hindrance())
             # After a driver has died during a motion, its latched state is still "moving".
             driver = self._driver if self._drivers.get_publisher_count() else ""
             self._act(run.tick(self._now_ns(), at_rest=at_rest, driver=driver))

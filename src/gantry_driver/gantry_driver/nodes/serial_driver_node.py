@@ -16,7 +16,7 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from queue import SimpleQueue
 from typing import Any
 
@@ -36,6 +36,7 @@ from gantry_driver.core.grbl.trajectory_gcode import Waypoint
 from gantry_driver.core.guard.messages import config_values
 from gantry_driver.core.machine.attendance import SIGN_S, Attendance, silent_text
 from gantry_driver.core.states.machine_states import Answered, Event, Note, Position, StateChanged
+from gantry_driver.core.states.reasons import STOP_REQUESTED
 from gantry_driver.nodes.panel_plane import plane_of_message
 from icu_common.adapters.direct_stop.line import stop_path
 from icu_common.adapters.real_time import DRIVER, ask_for_real_time, is_real_time
@@ -45,6 +46,7 @@ from icu_common.core.admission.sources import base_name, distrust_text
 from icu_common.core.configuration.text_bounds import plain
 from icu_common.core.geometry.frames import JOINTS
 from icu_common.core.goals.intent import Intent, read_frame
+from icu_common.core.reasons.state_text import state_name
 from icu_common.nodes.admission.sources import SourceWatch
 from icu_common.nodes.diagnostics import sender_values
 from icu_common.nodes.graph_node import GraphLifecycleNode, this_process
@@ -54,6 +56,7 @@ from icu_common.nodes.messages.results import diagnostic_status, result_message
 from icu_common.nodes.parameters import LiveParameters
 from icu_common.nodes.qos import COMMAND, LATCHED, RESULTS, SENSOR
 from icu_common.nodes.runtime import run
+from icu_common.nodes.state_codes import code_values
 from icu_common.nodes.timers import every, runs_by_clock_topic, seconds_of
 
 STEPS = "driver:steps"
@@ -84,10 +87,13 @@ class SerialDriverNode(GraphLifecycleNode):
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", RESULTS)
         self._old_wakeup_fd: int | None = None
         self._configured = False
+        self._state_topic = self.resolve_topic_name("driver_state")
+        self._values = sender_values(self)
+        """Values of the board in the newest report."""
         self._outbox: SimpleQueue[Callable[[], None] | None] = SimpleQueue()
         self._publisher = threading.Thread(target=self._publish_all, name="publisher", daemon=True)
         self._publisher.start()
-        stops = self.create_subscription(Empty, "stop_request", lambda _: self._link.stop("stop requested"), RESULTS)
+        stops = self.create_subscription(Empty, "stop_request", lambda _: self._link.stop(STOP_REQUESTED), RESULTS)
         self._stop_path = stop_path(self.context.get_domain_id(), stops.topic_name)
         self._link: GuardLink = self._make_link()
         self._heartbeats = HeartbeatSources(config.heartbeat_programs)
@@ -246,7 +252,7 @@ class SerialDriverNode(GraphLifecycleNode):
         return _fill(response, self._link.ask("home"), "accepted: homing")
 
     def _on_stop(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        self._link.stop("stop requested")
+        self._link.stop(STOP_REQUESTED)
         return _fill(response, "", "stopping")
 
     def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
@@ -304,6 +310,7 @@ class SerialDriverNode(GraphLifecycleNode):
             elif isinstance(event, StateChanged):
                 if event.logged:
                     self.get_logger().info(event.text)
+                self._diagnostics.publish(self._report(event.text, event.codes, stamp))  # before the text
                 self._state.publish(String(data=event.text))
             elif isinstance(event, Answered):
                 self._results.publish(result_message(event.result, stamp))
@@ -326,10 +333,16 @@ class SerialDriverNode(GraphLifecycleNode):
             ("heartbeats_from", " ".join(self._heartbeats.senders(self._sources.names("heartbeat")))),
         ]
         values += [("real_time", str(is_real_time())), *sender_values(self)]
-        level = LEVELS.get(state.partition(":")[0], "error")
-        report = diagnostic_status(f"{self.get_name()}: board", level, state, values)
-        message = DiagnosticArray(header=header(self._now_ns(), ""), status=[report])
+        self._values, codes = values, [(str(name), str(value)) for name, value in status.get("codes", ())]
+        message = self._report(state, codes, self._now_ns())
         self._outbox.put(lambda: self._diagnostics.publish(message))
+
+    def _report(self, state: str, codes: Iterable[tuple[str, str]], stamp: int) -> DiagnosticArray:
+        """Return a report of a state with its codes, and with the newest values of the board."""
+        values = [*self._values, *code_values(self._state_topic, dict(codes))]
+        level = LEVELS.get(state_name(state), "error")
+        report = diagnostic_status(f"{self.get_name()}: board", level, state, values)
+        return DiagnosticArray(header=header(stamp, ""), status=[report])
 
     def _check_link(self) -> None:
         if not self._publisher.is_alive():

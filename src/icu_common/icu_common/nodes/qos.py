@@ -33,6 +33,9 @@ PICTURES = QoSProfile(depth=5, history=HistoryPolicy.KEEP_LAST, reliability=_AS_
 RESULTS = QoSProfile(depth=10, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.RELIABLE)
 """Results and streams without losses."""
 
+REPORTS = QoSProfile(depth=200, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.RELIABLE)
+"""Reader of all programs' reports that decides by their codes: none is lost while it is held up for seconds."""
+
 LATCHED = QoSProfile(
     depth=1,
     history=HistoryPolicy.KEEP_LAST,

@@ -22,7 +22,7 @@ from icu_common.adapters.steps.step_ledger import LEDGER_VARIABLE, ledger_path
 from icu_common.adapters.terminal_keys import terminal_keys
 from icu_common.core.configuration.option_bounds import check_bounds, named_path
 from icu_common.nodes.runtime import Session, ros_session
-from icu_common.nodes.topic_names import check_names
+from icu_common.nodes.topic_names import name_problem
 from scope_bench.adapters.bag.bag_pictures import SUFFIX
 from scope_bench.adapters.bag.bag_reader import BagReader
 from scope_bench.adapters.bag.bags import BagError, BagTopic
@@ -103,7 +103,7 @@ def chosen(bag: BagReader, options: argparse.Namespace, account: Account) -> lis
     ]
     playable: dict[str, BagTopic] = {}
     for topic in wanted:
-        problem = _name_problem(topic.name) or type_problem(bag, topic)
+        problem = name_problem(topic.name) or type_problem(bag, topic)
         if topic.name in playable:
             problem = f"type {topic.type} differs from {playable[topic.name].type}: a topic is played with one type"
         if not problem:
@@ -117,15 +117,6 @@ def chosen(bag: BagReader, options: argparse.Namespace, account: Account) -> lis
             reason = "listed in metadata.yaml, but in no file"
             account.miss(topic.name, reason, topic.announced - topic.count, topic.announced)
     return list(playable.values())
-
-
-def _name_problem(name: str) -> str:
-    """Return why no publisher can have a name, "" if one can: converted bags of ROS 1 have names with ``-``."""
-    try:
-        check_names([name])
-    except ValueError as error:
-        return str(error).partition(": ")[2]
-    return ""
 
 
 _STAMP_ENDS = 12

@@ -27,12 +27,13 @@ from scope_ui_bridge.adapters.web.web_server import WebServer
 from scope_ui_bridge.core.desk import Desk
 from scope_ui_bridge.nodes.checked_subscription import subscribe
 
-_STATES = {
+STATES = {
     "controller": "gantry/state",
     "driver": "gantry/driver_state",
     "calibration": "calibration/state",
     "sequencer": "gantry/sequence_state",
 }
+"""Part -> topic of its state."""
 _MAX_PATH = 200
 
 
@@ -58,7 +59,7 @@ class MachineInlets:
         self._camera_from_base: Transform | None = None
         path = "gantry/recorded_trajectory" if replay else "gantry/trajectory"  # name in bag_play
         subscribe(node, JointTrajectory, path, qos.COMMAND, self._on_trajectory)
-        self._state_inlets = {part: self._follow(part) for part in _STATES}
+        self._state_inlets = {part: self._follow(part) for part in STATES}
         self._left: set[str] = set()
         """Parts whose state lost one of its publishers."""
         subscribe(node, TransformStamped, "calibration/camera_from_base", qos.LATCHED, self._on_calibration)
@@ -79,7 +80,7 @@ class MachineInlets:
                 self._left.add(part)
 
         events = SubscriptionEventCallbacks(matched=matched)
-        return subscribe(self._node, String, _STATES[part], qos.LATCHED, take, event_callbacks=events)
+        return subscribe(self._node, String, STATES[part], qos.LATCHED, take, event_callbacks=events)
 
     def _check_states(self) -> None:
         # The last state may be that of the program that left: receive the remaining one's latched state again.
@@ -88,7 +89,7 @@ class MachineInlets:
             self._state_inlets[part] = self._follow(part)
         self._left.clear()
         # The latched state of a node that has ended no longer applies.
-        for part, topic in _STATES.items():
+        for part, topic in STATES.items():
             if self._node.count_publishers(self._node.resolve_topic_name(topic)) == 0:
                 self._mail.newest(part, self._desk.set_state, part, "")
 

@@ -13,6 +13,7 @@ from icu_common.adapters.processes.hanging_programs import hanging_file, read_ha
 from icu_common.adapters.processes.process_identity import is_alive, process_number
 from icu_common.adapters.processes.processor_load import LoadMeter
 from icu_common.core.configuration.text_bounds import plain
+from icu_common.core.reasons.codes import CODE, REASON, TOPIC
 from icu_common.nodes import qos
 from icu_common.nodes.graph_node import GraphNode
 from icu_common.nodes.messages.heads import MAX_NAME, stamp_ns
@@ -22,6 +23,7 @@ from scope_ui_bridge.adapters.web.web_server import WebServer
 from scope_ui_bridge.core.desk import Desk
 from scope_ui_bridge.core.status import Condition, LivenessMonitor, Sender, judge
 from scope_ui_bridge.nodes.checked_subscription import subscribe
+from scope_ui_bridge.nodes.machine_inlets import STATES
 
 SILENT_S = 5.0
 """Seconds without a report from which on a node counts as late; nodes report every second."""
@@ -44,6 +46,7 @@ class ProgramWatch:
         self._server, self._mail = server, server.mailbox
         self._desk = desk
         self.liveness = LivenessMonitor(SILENT_S)
+        self._stated = {node.resolve_topic_name(topic): part for part, topic in STATES.items()}
         self._hanging_file = hanging_file()
         self._load = LoadMeter()
         self._seconds = seconds_of(node)
@@ -65,7 +68,10 @@ class ProgramWatch:
                 self._node.get_logger().info(f"{name} reports again")
             part = next((part for reporter, part in _REPORTERS.items() if reporter in name), "")
             if part:
-                self._mail.newest(f"facts {part}", self._desk.machine.set_facts, part, facts)
+                shown = {name: value for name, value in facts.items() if name not in (CODE, REASON, TOPIC)}
+                self._mail.newest(f"facts {part}", self._desk.machine.set_facts, part, shown)
+            if stated := self._stated.get(facts.get(TOPIC, "")):
+                self._mail.each(self._desk.set_report, stated, plain(status.message), facts)
 
     def _on_log(self, message: Log) -> None:
         level = _LEVELS.get(message.level)

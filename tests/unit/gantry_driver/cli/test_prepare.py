@@ -15,25 +15,29 @@ from icu_common.core.processes.processor_load import ProcessorLoad, ProgramLoad
 
 
 class Heard:
-    """An operator's session that has heard the driver's state and nothing else."""
+    """An operator's session that has heard the driver's state with its code, and nothing else."""
 
-    def __init__(self, text: str) -> None:
-        self.text = text
+    def __init__(self, text: str, code: str | None) -> None:
+        self.text, self.code = text, code
+
+    def code_of(self, _topic: str, text: str) -> str | None:
+        return self.code if text == self.text else None
 
     def latest(self, _topic: str) -> str:
         return self.text
 
     def wait_for(self, condition: Callable[[], Any], _until: float, _missing: Any) -> Any:
-        assert condition()
+        if not condition():
+            raise TimedOut
         return True
 
     def wait_until_heard(self, _until: float) -> None:
         pass
 
 
-def refused(text: str) -> str:
+def refused(text: str, code: str | None = "") -> str:
     """Return why gantry_prepare gives up with a driver in that state."""
-    session: Any = Heard(text)
+    session: Any = Heard(text, code)
     with pytest.raises(gantry_prepare.Failed) as error:
         gantry_prepare._Steps(session, 1.0, growth=1.0).connect()
     return str(error.value)
@@ -48,7 +52,7 @@ def other_steps() -> Rig:
 
 def test_settings_that_differ_are_written_accepted_or_corrected() -> None:
     rig = other_steps()
-    said = refused(rig.states[-1])
+    said = refused(rig.states[-1], rig.code())
     assert "the driver is 'mismatch: $100 is 250.000, the configuration says 80'" in said
     for way in ("gantry/write_settings", "gantry_gcode settings --write", "gantry/accept_settings", "machine.*"):
         assert way in said
@@ -66,7 +70,7 @@ def test_a_machine_that_homed_elsewhere_is_reset_and_homed_once_more() -> None:
     rig.step()
     assert rig.machine.home(rig.now) == ""
     rig.until(lambda: rig.state == "mismatch")
-    said = refused(rig.states[-1])
+    said = refused(rig.states[-1], rig.code())
     assert "homed at MPos -359.000" in said and "gantry/reset" in said and "pull_off_mm" in said
     assert "settings" not in said and "nothing to accept" in rig.machine.accept_settings(rig.now)
     assert rig.machine.reset(rig.now) == "" and rig.state == "unhomed"
@@ -76,7 +80,13 @@ def test_a_mismatch_that_says_itself_what_to_do_gets_no_other_advice() -> None:
     board = Board()
     board.startup[1] = "G91 G0 X5"
     rig = Rig(board=board).connect()
-    assert refused(rig.states[-1]) == f"the driver is {rig.states[-1]!r}"
+    assert refused(rig.states[-1], rig.code()) == f"the driver is {rig.states[-1]!r}"
+
+
+@pytest.mark.parametrize("code", [None, "", "driver.of_a_newer_program"])
+def test_no_advice_is_taken_from_the_words_of_a_mismatch(code: str | None) -> None:
+    text = "mismatch: $110 is 500.000, the configuration says 12000"
+    assert refused(text, code) == f"the driver is {text!r}"
 
 
 @pytest.mark.parametrize("state", ["stopped: stop requested", "alarm: ALARM:1 (hard limit)"])

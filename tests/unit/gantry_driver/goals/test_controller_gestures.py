@@ -142,6 +142,7 @@ def test_a_knob_under_the_stylus_that_shows_no_marker_from_aside_is_turned_once(
     result = bench.do("turn:CH1_SCALE:30")
     assert result.outcome is Outcome.REACHED and details(result)["turns"] == "1" and len(turned) == 1, result
     assert details(result)["effect"] == "not looked for" and details(result)["knob_deg"] == "nan"
+    assert details(result)["effect_missing"] == "not_looked_for"
 
 
 def test_a_dimple_is_not_touched_before_the_marker_has_been_seen() -> None:
@@ -221,7 +222,8 @@ def test_the_effect_is_reported_and_can_be_required() -> None:
     bench = seeing()
     bench.on_phase[Phase.CONTACT] = lambda b: setattr(b, "lamp", "red")
     assert details(bench.do("press:RUN_STOP"))["effect"] == "lamp green -> red"
-    assert details(bench.do("press:RUN_STOP"))["effect"] == "none seen"
+    result = bench.do("press:RUN_STOP")
+    assert details(result)["effect"] == "none seen" and details(result)["effect_missing"] == "none"
     bench.on_phase[Phase.LIFT] = lambda b: setattr(b, "screen_changed_ns", b.now_ns)
     assert details(bench.do("press:SINGLE"))["effect"] == "screen changed"
     strict = seeing(require_effect=True)

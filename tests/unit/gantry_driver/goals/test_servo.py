@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from gantry_driver.core.goals.servo import Look, contact_complaint, judge
+from gantry_driver.core.goals.servo import Look, contact_fault, judge
 from gantry_driver.core.job.controller_config import ControllerConfig
 from gantry_driver.core.job.goal_job import Aim, Fault
 from icu_common.core.geometry.geometry import Array, Transform
@@ -99,9 +99,13 @@ def test_errors_that_do_not_follow_the_corrections_end_it() -> None:
 def test_a_touch_must_have_been_seen_in_its_place() -> None:
     look = Look(after_ns=0, needed=2, kept=4)
     unseen = math.nan
-    assert contact_complaint(0.0005, 0.003, look, CONFIG) == ""
-    assert contact_complaint(0.0005, 0.0031, look, CONFIG).startswith("the tip was seen 3.1 mm above the surface")
-    assert contact_complaint(0.0006, 0.0, look, CONFIG) == "touched 0.60 mm beside the target, 0.5 mm are allowed"
-    words = "touched, but not measured: the tip was seen 0 times"
-    assert contact_complaint(unseen, unseen, look, CONFIG).startswith(words)
-    assert contact_complaint(unseen, unseen, look, ControllerConfig(require_servo=False)) == ""
+    assert contact_fault(0.0005, 0.003, look, CONFIG) is None
+    above = contact_fault(0.0005, 0.0031, look, CONFIG)
+    assert above is not None and above.cause.startswith("the tip was seen 3.1 mm above the surface")
+    assert not above.tells_touch
+    beside = contact_fault(0.0006, 0.0, look, CONFIG)
+    assert beside == Fault(cause="touched 0.60 mm beside the target, 0.5 mm are allowed", tells_touch=True)
+    blind = contact_fault(unseen, unseen, look, CONFIG)
+    assert blind is not None and blind.tells_touch
+    assert blind.cause.startswith("touched, but not measured: the tip was seen 0 times")
+    assert contact_fault(unseen, unseen, look, ControllerConfig(require_servo=False)) is None

@@ -105,6 +105,7 @@ def test_the_status_has_state_values_and_settings() -> None:
     status = COMMANDS["status"](machine, NOW, {})
     assert status == {
         "state": "disconnected: not opened yet",
+        "codes": (),
         "values": machine.diagnostics(),
         "settings": machine.settings_text(),
     }

@@ -16,7 +16,9 @@ from gantry_driver.core.configuration.machine_config import DriverConfig
 from gantry_driver.core.guard.messages import FrameReader, frame
 from gantry_driver.core.machine.machine import Machine
 from gantry_driver.core.states.machine_states import Note, Position, StateChanged
+from gantry_driver.core.states.reasons import Reason
 from icu_common.adapters.direct_stop.line import send_stop
+from icu_common.core.reasons.codes import DriverCode
 
 pytestmark = pytest.mark.slow
 
@@ -168,10 +170,13 @@ def test_a_stop_of_the_node_and_a_datagram_reach_the_link(make: Callable[..., Ri
     rig.hello(node)
     rig.guard._link.close("replaced by one that notes")  # type: ignore[union-attr]
     link = pressing(rig)
-    node.sendall(frame({"do": "stop", "reason": "a person"}))
+    node.sendall(frame({"do": "stop", "reason": "a person", "code": "driver.stop_requested"}))
+    node.sendall(frame({"do": "stop", "reason": "a node without codes"}))
     assert send_stop(rig.folder / "stop", "the page") and send_stop(rig.folder / "stop", "again")
     rig.turn()
-    assert sorted(link.stops) == ["a person", "again", "the page"] and link.stops[:2] == ["the page", "again"]
+    # A stop that bypasses the graph is always a requested one.
+    requested = [Reason(code=DriverCode.STOP_REQUESTED, text=text) for text in ("the page", "again", "a person")]
+    assert link.stops == [*requested, "a node without codes"]
     rig.guard._link = None
     assert send_stop(rig.folder / "stop", "nothing is there to stop")
     rig.turn()

@@ -8,9 +8,11 @@ import pytest
 from unit.scope_ui_bridge.desk_rig import Rig, of_type
 
 from icu_common.core.goals.results import GoalResult, Outcome
+from icu_common.core.reasons.codes import CODE, REASON, STOP_ASKED, ControllerCode, DriverCode
 from scope_ui_bridge.core.effects import Ping, StopNow
 
-REQUESTED = "stopped: stop requested"
+REQUESTED = {CODE: DriverCode.STOP_REQUESTED.value, REASON: "stop requested"}
+ASKED = ((STOP_ASKED, "yes"),)
 
 
 def moving(pictures: bool = False) -> Rig:
@@ -22,10 +24,13 @@ def moving(pictures: bool = False) -> Rig:
     return rig
 
 
-def driver_stops(rig: Rig, text: str = REQUESTED, after_s: float = 0.1) -> dict[str, Any] | None:
-    """Let the driver stop; return the cause that pages are told."""
-    rig.wait(after_s)
-    rig.desk.machine.set_state("driver", text)
+def driver_stops(
+    rig: Rig, text: str = "stopped: stop requested", values: dict[str, str] = REQUESTED
+) -> dict[str, Any] | None:
+    """Let the driver stop, and report the code of that state; return the cause that pages are told."""
+    rig.wait(0.1)
+    rig.desk.set_state("driver", text)
+    rig.desk.set_report("driver", text, values)
     rig.wait(0.1)
     cause: dict[str, Any] | None = rig.desk.join("Operator 2")[1]["state"]["stop_cause"]
     return cause
@@ -129,13 +134,17 @@ def test_the_first_cause_explains_and_a_reset_forgets_it() -> None:
 
 
 def test_what_the_driver_or_the_controller_stopped_is_not_claimed() -> None:
-    assert driver_stops(moving(), "stopped: operator's heartbeat lost: 0.61 s old, 0.6 s are allowed") is None
+    assert driver_stops(moving(), "stopped: the board went to Door:1", {}) is None
     rig = moving()
     pushed = "the panel has moved by 4.0 mm"
-    rig.desk.answers.result(GoalResult(goal_id="7", goal="press:MENU", outcome=Outcome.ABORTED, reason=pushed), rig.now)
+    rig.desk.answers.result(
+        GoalResult(goal_id="7", goal="press:MENU", outcome=Outcome.ABORTED, reason=pushed, details=ASKED), rig.now
+    )
     assert driver_stops(rig) == {"code": "stopped_by_controller", "who": pushed, "silence_s": 0.0}
     rig = moving()
-    rig.desk.answers.result(GoalResult(goal_id="7", goal="press:MENU", outcome=Outcome.ABORTED, reason=pushed), rig.now)
+    rig.desk.answers.result(
+        GoalResult(goal_id="7", goal="press:MENU", outcome=Outcome.ABORTED, reason=pushed, details=ASKED), rig.now
+    )
     rig.wait(3.0, alive=True)
     cause = driver_stops(rig)
     assert cause is not None and cause["code"] != "stopped_by_controller", (
@@ -154,6 +163,37 @@ def test_controller_that_stops_a_machine_at_rest_is_named_with_its_reason() -> N
     rig.wait(0.1)
     text = "two programs publish panel/pose: /foreign and /panel/recognition"
     rig.desk.set_state("controller", f"stopped: {text}")
+    rig.desk.set_report("controller", f"stopped: {text}", {CODE: ControllerCode.CONFLICT.value})
     assert driver_stops(rig) == {"code": "stopped_by_controller", "who": text, "silence_s": 0.0}
     rig.desk.set_state("controller", f"stopped: stop requested; {text}")
+    rig.desk.set_report("controller", f"stopped: stop requested; {text}", {CODE: ControllerCode.DRIVER_STOPPED.value})
     assert driver_stops(rig) == {"code": "stopped_by_controller", "who": text, "silence_s": 0.0}
+
+
+def test_lost_heartbeat_is_named_by_its_code() -> None:
+    text = "stopped: operator's heartbeat lost: 0.61 s old, 0.6 s are allowed"
+    assert driver_stops(moving(), text, {}) is None, "no words decide"
+    heartbeat = {CODE: DriverCode.HEARTBEAT_LOST.value}
+    assert driver_stops(moving(), text, heartbeat) == {"code": "stopped_heartbeat", "who": "", "silence_s": 0.0}
+
+
+def test_requested_stop_that_left_the_stylus_down_is_shown_with_all_its_clauses() -> None:
+    rig = moving()
+    rig.ask(rig.a, type="stop")
+    assert driver_stops(rig, "stopped: stop requested; the stylus was not lifted, it may still press") is None
+
+
+def test_code_of_an_earlier_state_explains_no_later_one() -> None:
+    rig = moving()
+    rig.ask(rig.a, type="stop")
+    rig.desk.set_report("driver", "stopped: stop requested", REQUESTED)
+    rig.desk.set_state("driver", "stopped: the board went to Door:1")
+    rig.wait(0.1)
+    assert rig.desk.join("Operator 2")[1]["state"]["stop_cause"] is None
+
+
+def test_abort_without_a_stop_of_the_controller_is_no_cause_of_one() -> None:
+    rig = moving()
+    aborted = GoalResult(goal_id="7", goal="press:MENU", outcome=Outcome.ABORTED, reason="the panel has moved")
+    rig.desk.answers.result(aborted, rig.now)
+    assert driver_stops(rig) == {"code": "stopped_elsewhere", "who": "", "silence_s": 0.0}

@@ -8,7 +8,7 @@ import pytest
 from unit.scope_ui_bridge.desk_rig import Rig, logged, of_type, selected
 
 from icu_common.core.geometry.frames import CAMERA_LEFT
-from icu_common.core.goals.results import GoalResult, Outcome
+from icu_common.core.goals.results import EFFECT_MISSING, EffectMissing, GoalResult, Outcome
 from icu_common.core.panel.gesture import Point, parse_gesture
 from scope_ui_bridge.core.effects import (
     CallService,
@@ -53,7 +53,15 @@ def test_a_control_is_selected_then_pressed_and_its_result_is_shown() -> None:
     ("details", "effect", "error_mm"),
     [
         ((("measured_by", "cameras"), ("effect", "lamp green -> red")), "lamp green -> red", 0.234),
-        ((("measured_by", "cameras"), ("effect", "not looked for")), "", 0.234),
+        (
+            (
+                ("measured_by", "cameras"),
+                ("effect", "not looked for"),
+                (EFFECT_MISSING, EffectMissing.NOT_LOOKED_FOR.value),
+            ),
+            "",
+            0.234,
+        ),
         ((("measured_by", "readings"),), "", None),
     ],
 )

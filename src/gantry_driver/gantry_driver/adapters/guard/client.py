@@ -33,6 +33,7 @@ from gantry_driver.core.guard.messages import (
 from gantry_driver.core.guard.silence import SilenceWatch
 from gantry_driver.core.machine.machine import Machine
 from gantry_driver.core.states.machine_states import Answered, Event, Note, StateChanged
+from gantry_driver.core.states.reasons import Why, code_of
 from icu_common.adapters.real_time import steady_s
 from icu_common.core.goals.results import GoalResult, Outcome
 
@@ -142,15 +143,16 @@ class GuardLink:
     def run(self, goal_id: str, names: list[str], points: list[Waypoint], **values: Any) -> None:
         """Start a trajectory with the ``values`` of :meth:`Machine.run`; the answers are events."""
         try:
-            if self.ask("run", goal_id=goal_id, names=names, points=waypoint_values(points), **values) == NO_ANSWER:
-                raise FrameError(NO_ANSWER)
+            refusal = self.ask("run", goal_id=goal_id, names=names, points=waypoint_values(points), **values)
+            if refusal is not None:
+                raise FrameError(str(refusal))
         except FrameError as error:
             text = f"{len(points)} points"
             self._say([Answered(result=_result(goal_id, text, Outcome.REJECTED, str(error)))])
 
-    def stop(self, reason: str) -> None:
+    def stop(self, reason: Why) -> None:
         """Stop the machine: the guard writes a hold ahead of all queues."""
-        self._send({"do": "stop", "reason": reason})
+        self._send({"do": "stop", "reason": str(reason), "code": code_of(reason)})
 
     def step(self, now_s: float) -> bool:
         """Pass a new time to the guard; return whether the guard will count it."""
@@ -274,9 +276,7 @@ class GuardLink:
                     self._answered.notify_all()
         elif "refused" in message:
             return f"{self._config.port}: {message['refused']}"
-        elif "closed" in message:
-            return ""
-        return None
+        return "" if "closed" in message else None
 
     def _note_goal(self, events: list[Event]) -> None:
         for event in events:
@@ -299,7 +299,7 @@ class GuardLink:
                 self._machine.enabled = before.config.enabled_at_start
                 self._machine.closed(reason, steady_s())
                 self._machine.take_events()
-                events.append(StateChanged(text=self._machine.state_text))
+                events.append(StateChanged(text=self._machine.state_text, codes=self._machine.codes()))
         self._say(events)
         self._count(steps, 0, 0)
         with self._answered:

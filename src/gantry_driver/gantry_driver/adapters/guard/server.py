@@ -21,9 +21,11 @@ from gantry_driver.core.guard.messages import FrameError, FrameReader, config_of
 from gantry_driver.core.guard.silence import SilenceWatch
 from gantry_driver.core.machine.machine import Machine
 from gantry_driver.core.states.machine_states import Event, Note, Position, StateChanged
+from gantry_driver.core.states.reasons import Reason, why_of
 from icu_common.adapters.direct_stop.line import open_stop_socket, received_stop
 from icu_common.adapters.real_time import steady_s
 from icu_common.core.configuration.config import settings_of
+from icu_common.core.reasons.codes import DriverCode
 
 PULSE_S = 0.1
 """Interval of the guard's own signs of life."""
@@ -108,9 +110,9 @@ class Guard:
 
     def _turn(self, ready: dict[int, int]) -> None:
         if self._stops is not None and self._stops.fileno() in ready:  # before everything else
-            while (reason := received_stop(self._stops)) is not None:
+            while (text := received_stop(self._stops)) is not None:
                 if self._link is not None:
-                    self._link.stop(reason)
+                    self._link.stop(Reason(code=DriverCode.STOP_REQUESTED, text=text) if text else text)
         if self._signals in ready:
             self._ends = True
         if self._node is not None and self._node.fileno() in ready:
@@ -178,7 +180,7 @@ class Guard:
         elif self._link is None:
             raise FrameError(f"{name!r} before hello")
         elif name == "stop":
-            self._link.stop(str(message["reason"]))
+            self._link.stop(why_of(str(message["reason"]), str(message.get("code", ""))))
         elif name == "step":
             self._clock.tell(message["time_s"])
             self._link.wake()
@@ -385,7 +387,7 @@ def _fixed(config: DriverConfig) -> list[object]:
 
 def _snapshot(machine: Machine) -> list[Event]:
     """Return the events that report the machine's state to a new node."""
-    events: list[Event] = [StateChanged(text=machine.state_text)]
+    events: list[Event] = [StateChanged(text=machine.state_text, codes=machine.codes())]
     if machine.reading_m is not None:
         events.append(Position(reading_m=machine.reading_m, probe=machine.probe))
     return events

@@ -11,7 +11,7 @@ from gantry_driver.core.contact.lag import Lag, height_of, lag_between
 from gantry_driver.core.contact.press import ENVELOPE_SPARE_M, ContactCode, next_extension_m, verdict
 from gantry_driver.core.envelope.rules import SIGMAS
 from gantry_driver.core.goals.goal_run import GoalRun, nanoseconds
-from gantry_driver.core.goals.servo import contact_complaint
+from gantry_driver.core.goals.servo import contact_fault
 from gantry_driver.core.goals.touch_checks import note_error, touch_finding
 from gantry_driver.core.job.effects import EffectKind
 from gantry_driver.core.job.goal_job import Fault, Job, Phase
@@ -137,9 +137,9 @@ class ContactPhases(GoalRun):
         job.lag = self._measured_lag(job)
         if not len(job.touch.arc):
             self._lift(job)
-        elif complaint := self._measure_contact(job):
+        elif (fault := self._measure_contact(job)) is not None:
             # A turn or a drag starts only from a measured position.
-            self._break_off(job, Fault(cause=complaint))
+            self._break_off(job, fault)
         elif job.lag is not None and not job.lag.stopped(self.config.contact) and not self.switch.closed:
             job.felt = Felt.NOT_TOUCHED if job.lag.free(self.config.contact) else Felt.UNKNOWN
             self._break_off(job, Fault(cause=self._unfelt_text(job), code=_code_of(job.felt)))
@@ -169,8 +169,8 @@ class ContactPhases(GoalRun):
         tips = self._tips_in_base(job)
         return None if tips is None else lag_between(job.air, height_of(tips, job.contact_m), self.config.contact)
 
-    def _measure_contact(self, job: Job) -> str:
-        """Measure the error at contact; return its fault, empty if there is none."""
+    def _measure_contact(self, job: Job) -> Fault | None:
+        """Measure the error at contact; return its fault, if any."""
         assert job.touch is not None
         seen, above_m = self._seen_in_base(job), math.nan
         if seen is not None:
@@ -180,7 +180,7 @@ class ContactPhases(GoalRun):
             above_m = float(off[2]) - self.config.touch.ball_radius_m
         elif job.measured_beside:
             job.error_m = job.hover_error_m
-        return contact_complaint(job.error_m, above_m, self._tip_look, self.config)
+        return contact_fault(job.error_m, above_m, self._tip_look, self.config)
 
     # Up again
 

@@ -35,6 +35,8 @@ from icu_common.core.geometry.geometry import Array
 from icu_common.core.goals.results import GoalResult, Outcome
 from icu_common.core.panel.gesture import GestureError, parse_gesture
 from icu_common.core.processes.delays import Delay, ResultCode, delay_of
+from icu_common.core.reasons.codes import ControllerCode
+from icu_common.core.reasons.state_text import state_name
 
 ASK_AGAIN_S = 0.5
 CLEAR_AGAIN_S = 1.0
@@ -115,8 +117,8 @@ class Controller(GoalPhases):
         self._now_ns, self._closed = now_ns, True
         self._actions = [msg.CallStop(reason=cause), *answers]
         if self._job is not None:
-            self._abort(self._job, f"{cause}; the machine was told to stop")
-        self._set_state(f"stopped: {cause}")
+            self._abort(self._job, f"{cause}; the machine was told to stop", stopped=True)
+        self._set_state(f"stopped: {cause}", ControllerCode.FAILED)
         return self._actions
 
     def close(self, now_ns: int) -> list[msg.Action]:
@@ -127,7 +129,7 @@ class Controller(GoalPhases):
         self._actions = []
         if self._job is not None:
             self._break_off(self._job, Fault(cause="the controller is shutting down", stop=True))
-        self._set_state("waiting: the controller has ended")
+        self._set_state("waiting: the controller has ended", ControllerCode.ENDED)
         self._closed = True
         return self._actions
 
@@ -233,7 +235,7 @@ class Controller(GoalPhases):
 
     def _take_driver(self, text: str) -> None:
         self._world.driver = text
-        state = text.partition(":")[0]
+        state = state_name(text)
         if state not in ("idle", "moving"):
             self._entered_xy = None  # the motors may be off, or the machine is homed again
         if state in ("disconnected", "connecting"):
@@ -278,14 +280,15 @@ class Controller(GoalPhases):
 
     def _show_state(self) -> None:
         if self._job is not None:
-            self._set_state(STATES.get(self.phase, OTHERWISE))
+            self._set_state(STATES.get(self.phase, OTHERWISE), ControllerCode.WORKING)
+        elif (obstacle := next(obstacles(self._world, self.config), None)) is None:
+            self._set_state("ready", ControllerCode.READY)
         else:
-            obstacle = next(obstacles(self._world, self.config), None)
-            self._set_state("ready" if obstacle is None else obstacle.state)
+            self._set_state(obstacle.state, obstacle.code)
 
-    def _set_state(self, text: str) -> None:
+    def _set_state(self, text: str, code: ControllerCode) -> None:
         if text != self._state:
-            self._state = text
+            self._state, self.code = text, code
             self._actions.append(msg.SetState(text=text))
 
     # Goals

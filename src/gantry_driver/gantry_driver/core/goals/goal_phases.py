@@ -268,9 +268,9 @@ class GoalPhases(ContactPhases):
         assert job.touch is not None
         # Cameras on the carriage have moved along the arc, so their pose now is not that of the measurement.
         gone_along = self.config.camera_on_carriage and len(job.touch.arc) > 0
-        if not gone_along and (complaint := self._measure_contact(job)):
+        if not gone_along and (fault := self._measure_contact(job)) is not None:
             code = self._note_free(job)
-            cause = f"{self._unfelt_text(job)}; {complaint}" if code else complaint
+            cause = f"{self._unfelt_text(job)}; {fault.cause}" if code else fault.cause
             self._finish(job, Outcome.ABORTED, f"{cause}; the stylus is up", code=code)
             return
         if not gone_along and (finding := contact_finding(job, self._world, self.config)) is not None:

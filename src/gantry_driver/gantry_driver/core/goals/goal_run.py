@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
@@ -35,6 +36,7 @@ from icu_common.core.geometry.geometry import Array
 from icu_common.core.goals.intent import Intent
 from icu_common.core.goals.results import Outcome
 from icu_common.core.processes.delays import Delay, ResultCode
+from icu_common.core.reasons.codes import STOP_ASKED, ControllerCode
 
 
 class GoalRun:
@@ -50,6 +52,8 @@ class GoalRun:
         self._job: Job | None = None
         self._actions: list[msg.Action] = []
         self._state = ""
+        self.code = ControllerCode.WORKING
+        """Code of the state's reason."""
         self._closed = False
         self._now_ns = 0
         self._deadline_ns = 0
@@ -248,11 +252,13 @@ class GoalRun:
         """End the goal early: hold the machine, or let a motion in the air end and then retract, or only report."""
         cause = fault.cause if job.fault is None else f"{job.fault.cause}; then {fault.cause}"
         delay = fault.delay if job.fault is None else None
+        tells_touch = (job.fault or fault).tells_touch
         if fault.stop:
             self._actions.append(msg.CallStop(reason=cause))
-            self._abort(job, f"{cause}; the machine was told to stop", delay, stopped=True)
+            reason = f"{cause}; the machine was told to stop"
+            self._abort(job, reason, delay, stopped=True, tells_touch=tells_touch)
         elif not fault.lift or job.fault is not None:
-            self._abort(job, f"{cause}; no more motion was ordered", delay)
+            self._abort(job, f"{cause}; no more motion was ordered", delay, tells_touch=tells_touch)
         else:
             job.fault = fault
             if self.phase not in MOVING:
@@ -262,14 +268,26 @@ class GoalRun:
         self._go(Phase.BREAK_OFF, motion_plan.lift(self._world.here, self.config.motion))
 
     def _finish_broken_off(self, job: Job) -> None:
-        assert job.fault is not None
-        self._abort(job, f"{job.fault.cause}; the stylus is up", job.fault.delay, code=job.fault.code)
+        fault = job.fault
+        assert fault is not None
+        reason = f"{fault.cause}; the stylus is up"
+        self._abort(job, reason, fault.delay, code=fault.code, tells_touch=fault.tells_touch)
 
     def _abort(
-        self, job: Job, reason: str, delay: Cause | None = None, *, stopped: bool = False, code: str = ""
+        self,
+        job: Job,
+        reason: str,
+        delay: Cause | None = None,
+        *,
+        stopped: bool = False,
+        code: str = "",
+        tells_touch: bool = False,
     ) -> None:
-        """Abort a goal; warn if the stylus had gone down, because a repeated press may act twice."""
-        if job.touched_ns and not reason.startswith("touched"):
+        """Abort a goal; warn if the stylus had gone down, because a repeated press may act twice.
+
+        ``tells_touch`` is whether the reason says so itself.
+        """
+        if job.touched_ns and not tells_touch:
             reason = f"the stylus had gone down: look at the panel before trying again; {reason}"
         self._finish(job, Outcome.ABORTED, reason, delay, stopped=stopped, code=code)
 
@@ -290,7 +308,8 @@ class GoalRun:
         self._job = None
         self._reported = set()
         # A goal that has touched, or that needs a reset, must not be repeated without a person.
-        self._publish(job, outcome, reason, delay, repeatable=not job.touched_ns and not stopped, code=code)
+        repeatable = not job.touched_ns and not stopped
+        self._publish(job, outcome, reason, delay, repeatable=repeatable, code=code, stop_asked=stopped)
 
     def _publish(
         self,
@@ -301,9 +320,12 @@ class GoalRun:
         *,
         repeatable: bool = False,
         code: str = "",
+        stop_asked: bool = False,
     ) -> None:
         self.counts[outcome] += 1
         result = job.result(outcome, reason, self._now_ns, delay, repeatable=repeatable, code=code)
+        if stop_asked:
+            result = replace(result, details=(*result.details, (STOP_ASKED, "yes")))
         self._actions.append(msg.PublishResult(result=result))
 
 

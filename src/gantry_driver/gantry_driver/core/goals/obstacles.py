@@ -12,6 +12,8 @@ from gantry_driver.core.job.patience import camera_delay, joints_delay, patient_
 from gantry_driver.core.sight.pair_sight import pair_obstacles
 from gantry_driver.core.states.stylus_state import tells_of_stylus
 from icu_common.core.processes.delays import Delay
+from icu_common.core.reasons.codes import ControllerCode
+from icu_common.core.reasons.state_text import split_state
 
 _DRIVER_TEXT = {
     "disconnected": "driver disconnected",
@@ -22,32 +24,31 @@ _DRIVER_TEXT = {
     "mismatch": "settings mismatch",
     "disabled": "not enabled",
 }
-_NO_OPERATOR = "waiting: no operator (heartbeat)"
-AT_AN_END = ("stopped", "alarm", _NO_OPERATOR, *(f"waiting: {t}" for s, t in _DRIVER_TEXT.items() if s != "moving"))
-"""Beginnings of ``/gantry/state`` while the machine cannot continue, or no operator is present."""
 
 
 def obstacles(world: World, config: ControllerConfig) -> Iterator[Obstacle]:
     """Yield the obstacles that keep a goal from starting, the most important first."""
     if text := world.rivals.text:
-        yield Obstacle(state=f"stopped: {text}", reason=text, every_goal=True)
-    state, _, reason = world.driver.partition(":")
+        yield Obstacle(code=ControllerCode.CONFLICT, state=f"stopped: {text}", reason=text, every_goal=True)
+    state, reason = split_state(world.driver)
     silent = world.readings is None or world.age_s(world.readings_ns) > config.joints_timeout_s
     # After a driver has died during a motion, its latched state is still "moving".
     if state != "idle" and not (state == "moving" and silent):
         shown = world.driver if state in ("stopped", "alarm") else f"waiting: {_DRIVER_TEXT.get(state, state)}"
         if state not in ("stopped", "alarm") and reason:
-            shown += f": {reason.strip()}"
+            shown += f": {reason}"
         shown += world.rivals.clause(world.driver)
         if world.left_behind:
             shown += f"; {world.left_behind}"
         elif not tells_of_stylus(world.driver) and (state in LIFTS_NOTHING or (state == "stopped" and silent)):
             shown += _left_down_text(world)
-        yield Obstacle(state=shown, reason=f"the driver is {world.driver!r}, 'idle' is needed", every_goal=True)
+        reason = f"the driver is {world.driver!r}, 'idle' is needed"
+        yield Obstacle(code=_code_of_driver(state), state=shown, reason=reason, every_goal=True)
     elif world.readings is None or silent:
         joints_s = world.age_s(world.readings_ns)
         delay = joints_delay(joints_s, config)
         yield Obstacle(
+            code=ControllerCode.NO_READINGS,
             state="waiting: no joint_states" + _left_down_text(world),
             reason=f"no joint_states {since(joints_s)}, at most {config.joints_timeout_s:g} s are allowed",
             every_goal=True,
@@ -56,22 +57,31 @@ def obstacles(world: World, config: ControllerConfig) -> Iterator[Obstacle]:
         )
     elif world.unchecked and world.readings[2] > EXTENDED_M:
         text = world.left_behind_text()
-        yield Obstacle(state=f"waiting: {text}", reason=f"{text}, a stop is asked for", every_goal=True)
+        reason = f"{text}, a stop is asked for"
+        yield Obstacle(code=ControllerCode.STYLUS_LEFT, state=f"waiting: {text}", reason=reason, every_goal=True)
     heartbeat_age = world.heartbeat_age_s
     if heartbeat_age > config.heartbeat_timeout_s:
         yield Obstacle(
-            state=_NO_OPERATOR,
+            code=ControllerCode.NO_OPERATOR,
+            state="waiting: no operator (heartbeat)",
             reason=f"no operator heartbeat {since(heartbeat_age)}, "
             f"at most {config.heartbeat_timeout_s:g} s are allowed",
             every_goal=True,
         )
     if world.panel_alarm:
-        yield Obstacle(state=f"waiting: {world.panel_alarm}", reason=world.panel_alarm, every_goal=True)
+        text = world.panel_alarm
+        yield Obstacle(code=ControllerCode.PANEL_ALARM, state=f"waiting: {text}", reason=text, every_goal=True)
     if world.camera_from_base is None or world.base_from_reading is None:
-        yield Obstacle(state="waiting: not calibrated", reason="not calibrated", every_goal=False)
+        yield Obstacle(
+            code=ControllerCode.NOT_CALIBRATED,
+            state="waiting: not calibrated",
+            reason="not calibrated",
+            every_goal=False,
+        )
     camera_age = world.age_s(world.camera_stamp_ns)
     if camera_age > config.camera_timeout_s:
         yield Obstacle(
+            code=ControllerCode.NO_IMAGES,
             state="waiting: no picture from the left camera",
             reason=f"no picture from the left camera {since(camera_age)}, "
             f"at most {config.camera_timeout_s:g} s are allowed",
@@ -81,6 +91,13 @@ def obstacles(world: World, config: ControllerConfig) -> Iterator[Obstacle]:
         )
     yield from panel_obstacles(world, config)
     yield from pair_obstacles(world.pair_finding(config))
+
+
+def _code_of_driver(state: str) -> ControllerCode:
+    """Return the code of a driver that is in a state other than idle."""
+    if state in ("stopped", "alarm"):
+        return ControllerCode.DRIVER_STOPPED
+    return ControllerCode.DRIVER_MOVING if state == "moving" else ControllerCode.DRIVER_NOT_READY
 
 
 def first_delay(world: World, config: ControllerConfig) -> Delay | None:

@@ -9,9 +9,10 @@ import math
 from dataclasses import dataclass
 
 from icu_common.core.configuration.config import Config, setting
-from icu_common.core.goals.results import GoalResult, Outcome
+from icu_common.core.goals.results import EFFECT, EFFECT_MISSING, GoalResult, Outcome
 from icu_common.core.goals.sequence import Check, Sequence, Step
 from icu_common.core.panel.panel_state import PanelSeen, angle_between
+from icu_common.core.reasons.state_text import state_name
 
 NANO = 1_000_000_000
 ANGLE_TOLERANCE_DEG = 3.0
@@ -146,7 +147,7 @@ class SequenceRun:
         jumped_back_s, self._ticked_ns = (self._ticked_ns - now_ns) / NANO, now_ns
         if jumped_back_s > CLOCK_JUMP_S:
             return self.abort(f"the clock jumped back by {jumped_back_s:.1f} s", now_ns)
-        accept_s, state = self._config.accept_timeout_s, driver.partition(":")[0]
+        accept_s, state = self._config.accept_timeout_s, state_name(driver)
         if self._given_up:
             if state in STOPPED:
                 return self.abort(f"{self._given_up}; the machine was told to stop and is {driver!r}", now_ns)
@@ -215,9 +216,9 @@ class SequenceRun:
     def _unlike(self, check: Check, answer: GoalResult) -> str:
         """Return what is seen instead of the check's expectation, empty if it is fulfilled."""
         details = dict(answer.details)
-        effect = details.get("effect", "not looked for")
+        effect = details.get(EFFECT, "not looked for")
         if check.kind == "effect":
-            return effect if effect.startswith(("none seen", "not seen: ", "not looked for")) else ""
+            return effect if EFFECT not in details or EFFECT_MISSING in details else ""
         # Only an image taken during this step shows its effect.
         seen = self._seen if self._seen is not None and self._seen.stamp_ns > self._step_ns else None
         if check.kind == "screen":

@@ -109,22 +109,23 @@ def _corrected(error_xy: Array, aim: Aim, most_m: float) -> Fault | Aim:
     return corrected
 
 
-def contact_complaint(error_m: float, above_m: float, look: Look, config: ControllerConfig) -> str:
-    """Return the fault of a touch seen ``error_m`` to the side of its position and ``above_m`` above it; else empty.
+def contact_fault(error_m: float, above_m: float, look: Look, config: ControllerConfig) -> Fault | None:
+    """Return the fault of a touch seen ``error_m`` to the side of its position and ``above_m`` above it, if any.
 
     NaN: not seen. A stylus that sticks, or a camera that repeats its last image, shows the tip at its hover position.
     """
     if math.isnan(error_m) and config.require_servo:
-        return f"touched, but not measured: {look.unseen_text(config.tip_spread_m)}"
+        return Fault(cause=f"touched, but not measured: {look.unseen_text(config.tip_spread_m)}", tells_touch=True)
     if above_m > config.max_depth_error_m:
-        return (
-            f"the tip was seen {1000 * above_m:.1f} mm above the surface when it should touch, "
+        return Fault(
+            cause=f"the tip was seen {1000 * above_m:.1f} mm above the surface when it should touch, "
             f"{1000 * config.max_depth_error_m:g} mm are allowed: does the stylus come down, is the picture new?"
         )
     if error_m > config.max_error_m:
         bound = 1000 * config.max_error_m
-        return f"touched {1000 * error_m:.2f} mm beside the target, {bound:g} mm are allowed"
-    return ""
+        cause = f"touched {1000 * error_m:.2f} mm beside the target, {bound:g} mm are allowed"
+        return Fault(cause=cause, tells_touch=True)
+    return None
 
 
 def places_beside(touch: Touch, scene: Scene, aim: Aim, config: ControllerConfig) -> list[Array]:

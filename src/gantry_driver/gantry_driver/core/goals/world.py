@@ -25,6 +25,7 @@ from icu_common.core.geometry.camera_model import CameraModel
 from icu_common.core.geometry.geometry import Array, Transform
 from icu_common.core.panel.panel_state import PanelSeen
 from icu_common.core.processes.delays import Delay, ResultCode
+from icu_common.core.reasons.state_text import state_name
 
 EXTENDED_M = 0.0005
 """Extension above which a stylus that was left behind may be pressing something."""
@@ -101,7 +102,7 @@ class World:
         """
         if self.rivals.text:
             return Fault(cause=self.rivals.text, stop=True)
-        state = self.driver.partition(":")[0]
+        state = state_name(self.driver)
         if state not in ("idle", "moving"):
             return Fault(cause=f"the driver is {self.driver!r}", lift=False)
         joints_s, limit_s = self.age_s(self.readings_ns), config.joints_timeout_s
@@ -171,7 +172,7 @@ class World:
 
     def seen_clear_m(self, config: ControllerConfig) -> float | None:
         """Return the tip's height if the position is unknown and images prove that the tip presses nothing."""
-        if self.driver.partition(":")[0] not in LIFTS_NOTHING:
+        if state_name(self.driver) not in LIFTS_NOTHING:
             return None
         height_m = self.height.at_least_m(self.now_ns)
         return height_m if height_m is not None and height_m >= config.seen_clear_m else None
@@ -296,7 +297,7 @@ class World:
 
     def unrest(self) -> str:
         """Return a text if the machine moves or its stylus is extended, else an empty text."""
-        if self.driver.partition(":")[0] in ("moving", "homing"):
+        if state_name(self.driver) in ("moving", "homing"):
             return f"the driver is {self.driver!r}"
         extended = self.readings is not None and self.readings[2] > EXTENDED_M
         return f"the stylus is extended by {1000 * self.here[2]:.1f} mm" if extended else ""

@@ -27,7 +27,12 @@ def _run(machine: Machine, now: float, values: Values) -> None:
 
 
 def _status(machine: Machine, now: float, values: Values) -> dict[str, Any]:
-    return {"state": machine.state_text, "values": machine.diagnostics(), "settings": machine.settings_text()}
+    return {
+        "state": machine.state_text,
+        "codes": machine.codes(),
+        "values": machine.diagnostics(),
+        "settings": machine.settings_text(),
+    }
 
 
 def _heartbeat(machine: Machine, now: float, values: Values) -> None:

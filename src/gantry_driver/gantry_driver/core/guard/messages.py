@@ -91,6 +91,9 @@ def event_of(values: Sequence[Any]) -> Event:
     if name == Position.__name__:
         x, y, z = content["reading_m"]
         return Position(reading_m=(x, y, z), probe=content["probe"])
+    if name == StateChanged.__name__:
+        codes = tuple((str(key), str(value)) for key, value in content.pop("codes", ()))
+        return StateChanged(codes=codes, **content)
     return _EVENTS[name](**content)
 
 

@@ -8,6 +8,7 @@ from enum import Enum
 
 from gantry_driver.core.motion.scene import Refused
 from gantry_driver.core.motion.targets import MOST_BIAS_DEG
+from icu_common.core.goals.results import EFFECT, EFFECT_MISSING, EffectMissing
 from icu_common.core.panel.gesture import Gesture
 from icu_common.core.panel.panel_state import ControlSeen, PanelSeen, angle_between
 
@@ -28,6 +29,15 @@ class EffectKind(Enum):
     """The panel was read, and nothing has changed."""
     UNREAD = "unread"
     """The panel was not read since the touch."""
+    NOT_LOOKED_FOR = "not_looked_for"
+    """The goal ended before its effect could be seen, or nothing can show one."""
+
+
+_MISSING = {
+    EffectKind.NONE: EffectMissing.NONE,
+    EffectKind.UNREAD: EffectMissing.UNREAD,
+    EffectKind.NOT_LOOKED_FOR: EffectMissing.NOT_LOOKED_FOR,
+}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -40,10 +50,16 @@ class Effect:
     @property
     def seen(self) -> bool:
         """Whether something has changed."""
-        return self.kind not in (EffectKind.NONE, EffectKind.UNREAD)
+        return self.kind not in _MISSING
+
+    def details(self) -> tuple[tuple[str, str], ...]:
+        """Return the effect as pairs for ``GoalResult.details``."""
+        missing = _MISSING.get(self.kind)
+        return ((EFFECT, self.text), *(() if missing is None else ((EFFECT_MISSING, missing.value),)))
 
 
 NONE_SEEN = Effect(kind=EffectKind.NONE, text="none seen")
+NOT_LOOKED_FOR = Effect(kind=EffectKind.NOT_LOOKED_FOR, text="not looked for")
 
 
 def effect(before: PanelSeen, after: PanelSeen, name: str, since_ns: int, left_ns: int) -> tuple[Effect | None, bool]:

@@ -11,7 +11,7 @@ import numpy as np
 from gantry_driver.core.contact.heights import HeightFinding
 from gantry_driver.core.contact.lag import Height, Lag
 from gantry_driver.core.contact.press import Evidence
-from gantry_driver.core.job.effects import Effect, Knob
+from gantry_driver.core.job.effects import NOT_LOOKED_FOR, Effect, Knob
 from gantry_driver.core.motion.scene import Scene
 from gantry_driver.core.motion.targets import Touch
 from gantry_driver.core.motion.touch_error import TouchError
@@ -22,6 +22,7 @@ from icu_common.core.goals.intent import Intent
 from icu_common.core.goals.results import Felt, GoalResult, Outcome
 from icu_common.core.panel.gesture import Gesture
 from icu_common.core.panel.panel_state import PanelSeen
+from icu_common.core.reasons.codes import ControllerCode
 
 NANO = 1_000_000_000
 
@@ -106,7 +107,7 @@ class Fault:
     """Cause of a goal's early end: ``lift`` if the stylus may rise, ``stop`` if the machine must be held at once.
 
     ``delay`` is the late input if lateness is the only cause, or the finding that is the cause. ``code`` is for
-    ``GoalResult.code``.
+    ``GoalResult.code``. ``tells_touch`` is whether the cause says that the stylus has touched.
     """
 
     cause: str
@@ -114,16 +115,20 @@ class Fault:
     stop: bool = False
     delay: Cause | None = None
     code: str = ""
+    tells_touch: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Obstacle:
     """Reason not to start a goal: ``state`` for /gantry/state, ``reason`` with value and limit for a rejection.
 
+    ``code`` is that of the state, by which other programs decide.
+
     A ``passing`` obstacle may end by itself: cameras on the carriage have not seen the panel from their position, or
     an input is late. ``delay`` names the late input, if nothing else is wrong.
     """
 
+    code: ControllerCode
     state: str
     reason: str
     every_goal: bool
@@ -255,7 +260,7 @@ class Job:
         if outcome.final and touch is not None:
             details.append(("corrections", str(self.aim.corrections)))
             details.append(("hover_error_m", f"{self.hover_error_m:.6f}"))
-            details.append(("effect", "not looked for" if self.effect is None else self.effect.text))
+            details += (self.effect or NOT_LOOKED_FOR).details()
         if outcome.final and self.touch_error is not None:
             details += self.touch_error.details()
         if outcome.final and self.touched_ns:

@@ -10,6 +10,7 @@ from gantry_driver.core.grbl.grbl_messages import Dialect
 from gantry_driver.core.grbl.settings_profile import differences, lines_to_write
 from gantry_driver.core.machine.connection import Connection
 from gantry_driver.core.states.machine_states import Note, Phase
+from gantry_driver.core.states.reasons import Why
 
 READING_SETTINGS = (3, 23, 27, 100, 101, 102, 130, 131, 132)
 """Directions, homing corner, pull-off, steps and travel: a change makes a calibration of the readings invalid."""
@@ -74,7 +75,7 @@ class BoardSettings(Connection):
             self._marker = self.session.queue(text).number
         return ""
 
-    def _read_settings(self, now: float, reason: str) -> None:
+    def _read_settings(self, now: float, reason: Why) -> None:
         self._settings, self._startup, self._startup_tries = {}, {}, 0
         self._enter(Phase.SETTINGS, now, reason)
         self._marker = self.session.queue(READ_SETTINGS).number
@@ -122,6 +123,7 @@ class BoardSettings(Connection):
             self._close("the board told no settings", now)
             return
         wrong = differences(self._settings, self.expected_settings())
+        self._settings_differ = bool(wrong)
         kept, self._kept = self._kept, {}
         changed = (n for n in kept if n in self._settings and self._settings[n] != kept[n])
         # A damaged line may have written a setting other than the intended one.

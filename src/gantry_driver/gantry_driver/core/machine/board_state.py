@@ -19,9 +19,11 @@ from gantry_driver.core.states.machine_states import (
     Phase,
     StateChanged,
 )
+from gantry_driver.core.states.reasons import Why, code_of
 from gantry_driver.core.states.stylus_state import CLAUSE, IS_RELEASED, MAY_PRESS, MAY_SINK, Stylus
 from gantry_driver.core.wire.goal import Goal, Reading
 from icu_common.core.goals.results import GoalResult, Outcome
+from icu_common.core.reasons.codes import CODE, REASON, DriverCode
 
 TICK_S = 0.05
 """Maximum seconds between two ticks."""
@@ -36,7 +38,7 @@ class BoardState:
         self.counts = Counts()
         self.session = GrblSession(self.counts)
         self.phase = Phase.CLOSED
-        self.reason = "not opened yet"
+        self.reason: Why = "not opened yet"
         self._not_lifted: str | None = None
         """Why a stop has not lifted the stylus, empty if it has; None if no stop has decided about the stylus."""
         self._suspended = ""
@@ -56,8 +58,10 @@ class BoardState:
         self._kept: dict[int, str] = {}
         """Settings that a write of other settings must not change."""
         self._profile: dict[int, float] = {}
-        self._latched = ""
+        self._latched: Why = ""
         self._mismatch = ""
+        self._settings_differ = False
+        """Whether the mismatch is, or includes, settings that differ from the configuration."""
         self._misplaced = False
         self._accepted_mismatch = ""
         self._events: list[Event] = []
@@ -110,6 +114,16 @@ class BoardState:
         """The published state: ``state`` or ``state: reason``."""
         reason = "inactive" if self.phase is Phase.IDLE and not self.active else self._whole_reason()
         return f"{self.state}: {reason}" if reason else self.state
+
+    def codes(self) -> tuple[tuple[str, str], ...]:
+        """Return the code and the text of the published state's first reason, if it has a code.
+
+        Further clauses may follow this text in the published state, as on a stylus that was not lifted.
+        """
+        code = code_of(self.reason) if self.phase.state in ("stopped", "mismatch") else ""
+        if self.phase is Phase.MISMATCH and self._settings_differ:
+            code = code or DriverCode.SETTINGS_DIFFER.value
+        return ((CODE, code), (REASON, str(self.reason))) if code else ()
 
     @property
     def at_rest(self) -> bool:
@@ -169,7 +183,7 @@ class BoardState:
 
     # --- transitions ---------------------------------------------------------------------------------------------
 
-    def _enter(self, phase: Phase, now: float, reason: str = "", not_lifted: str | None = None) -> None:
+    def _enter(self, phase: Phase, now: float, reason: Why = "", not_lifted: str | None = None) -> None:
         if phase is not self.phase and phase not in TRANSITIONS[self.phase] and phase not in OPEN_ENDS:
             raise AssertionError(f"{self.phase.name} to {phase.name} is not in the table")
         self.phase, self.reason, self._since = phase, reason, now
@@ -196,7 +210,8 @@ class BoardState:
     def _say_if_changed(self) -> None:
         if (text := self.state_text) != self._told:
             self._told = text
-            self._events.append(StateChanged(text=text, logged=not self._resets.repeats(text)))
+            logged = not self._resets.repeats(text)
+            self._events.append(StateChanged(text=text, logged=logged, codes=self.codes()))
 
     def _forget_position(self) -> None:
         self._stylus = self._stylus.lost(self._extension_m)
@@ -207,7 +222,7 @@ class BoardState:
     def _finish(
         self,
         outcome: Outcome,
-        reason: str,
+        reason: Why,
         now: float,
         error_m: float = math.nan,
         *,
@@ -222,7 +237,7 @@ class BoardState:
                 goal_id=goal.goal_id,
                 goal=goal.text,
                 outcome=outcome,
-                reason=reason,
+                reason=str(reason),
                 error_m=error_m,
                 duration_s=now - goal.started,
                 code=code,
@@ -256,7 +271,7 @@ class BoardState:
 
     def _whole_reason(self) -> str:
         """Return the reason, and the states that may end before it: stylus not lifted, board suspended."""
-        return CLAUSE.join(text for text in (self.reason, self._stylus_text(), self._suspended) if text)
+        return CLAUSE.join(text for text in (str(self.reason), self._stylus_text(), self._suspended) if text)
 
     def _stylus_text(self) -> str:
         """Return a clause if nothing has lifted the stylus, because readers assume that ``stopped`` means lifted."""

@@ -10,6 +10,7 @@ from gantry_driver.core.grbl.grbl_messages import Dialect, Firmware, Report
 from gantry_driver.core.grbl.session import HOLD
 from gantry_driver.core.machine.board_state import BoardState
 from gantry_driver.core.states.machine_states import CloseRequested, Phase
+from gantry_driver.core.states.reasons import Why
 from icu_common.core.goals.results import Outcome
 
 HOLD_REPEAT_S = 0.2
@@ -54,7 +55,7 @@ class Connection(BoardState):
         self.session.start(now)
         self._enter(Phase.CLOSED, now, reason)
 
-    def _synchronise(self, now: float, reason: str) -> None:
+    def _synchronise(self, now: float, reason: Why) -> None:
         self.session.start(now)
         self.dialect, self.firmware, self._settings, self._probed = Dialect.UNKNOWN, "", {}, 0.0
         self._critical = False
@@ -103,12 +104,12 @@ class Connection(BoardState):
         self.firmware = firmware.version
 
     def _refuse(self, dialect: Dialect, now: float) -> None:
-        self.dialect, self._mismatch = dialect, REFUSED[dialect]
+        self.dialect, self._mismatch, self._settings_differ = dialect, REFUSED[dialect], False
         self.session.polling = False
         self._enter(Phase.IDENTIFY, now)
         self._enter(Phase.MISMATCH, now, self._mismatch)
 
-    def _identify(self, now: float, reason: str) -> None:
+    def _identify(self, now: float, reason: Why) -> None:
         self._settings, self.left_moving = {}, False
         self._enter(Phase.IDENTIFY, now, "" if reason == self._unanswered else reason)
         self._unanswered = ""

@@ -9,7 +9,9 @@ from gantry_driver.core.grbl.trajectory_gcode import lift_lines, reading_m
 from gantry_driver.core.machine.stopping import elsewhere
 from gantry_driver.core.machine.streaming import Streaming
 from gantry_driver.core.states.machine_states import Phase, Position
+from gantry_driver.core.states.reasons import Reason
 from gantry_driver.core.states.stylus_state import Stylus
+from icu_common.core.reasons.codes import DriverCode
 
 OFFSET_WITHIN_S = 1.0
 """Maximum seconds after homing for two reports with a work offset; a board without one moves, but runs no program."""
@@ -87,7 +89,7 @@ class Homing(Streaming):
         if elsewhere(report.mpos_mm, expected):
             found = ", ".join(f"{v:.3f}" for v in report.mpos_mm[:3])
             text = f"homed at MPos {found} mm, the configuration says {', '.join(f'{v:g}' for v in expected)} mm"
-            self._enter(Phase.MISMATCH, now, text)
+            self._enter(Phase.MISMATCH, now, Reason(code=DriverCode.HOMED_ELSEWHERE, text=text))
             self._misplaced = True
             return
         self.homed, self._stylus = True, Stylus.lifted(self.config.stylus.kind)

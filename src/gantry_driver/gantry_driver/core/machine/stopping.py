@@ -15,6 +15,7 @@ from gantry_driver.core.grbl.trajectory_gcode import lift_lines, reading_m
 from gantry_driver.core.machine.board_settings import BoardSettings
 from gantry_driver.core.machine.connection import HOLD_REPEAT_S, REFUSED
 from gantry_driver.core.states.machine_states import Note, Phase
+from gantry_driver.core.states.reasons import Why
 from gantry_driver.core.states.stylus_state import STYLUS_DOWN_M, Stylus
 from icu_common.core.goals.results import Outcome
 
@@ -51,7 +52,7 @@ class Stopping(BoardSettings):
         self._moved_mm: tuple[float, ...] | None = None
         """Position in the last report, if the board cannot have moved there."""
 
-    def stop(self, reason: str, now: float, *, hold_written: bool = False) -> None:
+    def stop(self, reason: Why, now: float, *, hold_written: bool = False) -> None:
         """Hold, discard all buffered lines, lift the stylus, and stay stopped until :meth:`reset`.
 
         Parameters
@@ -100,7 +101,7 @@ class Stopping(BoardSettings):
 
     # --- the stop sequence -------------------------------------------------------------------------------------------
 
-    def _halt(self, reason: str, now: float, *, hold_written: bool = False, lift_again: bool = False) -> None:
+    def _halt(self, reason: Why, now: float, *, hold_written: bool = False, lift_again: bool = False) -> None:
         """Begin the stop sequence: hold, wait for the hold, reset, lift; the goal is answered now."""
         self._finish(Outcome.ABORTED, reason, now)
         if self.phase in (Phase.STOPPED, Phase.HOLDING, Phase.RESETTING, Phase.LIFTING):
@@ -181,7 +182,7 @@ class Stopping(BoardSettings):
         self._begin_lift(kept.mpos_mm, self._latched, now)
         return True
 
-    def _begin_lift(self, from_mm: tuple[float, ...] | None, reason: str, now: float) -> None:
+    def _begin_lift(self, from_mm: tuple[float, ...] | None, reason: Why, now: float) -> None:
         self._enter(Phase.LIFTING, now, reason)
         self._marker_done = False
         self._lift_from_mm = from_mm
@@ -208,7 +209,7 @@ class Stopping(BoardSettings):
             # The report is older than the hold, or the firmware does not hold while idle: wait for the hold to show.
             if now - self._since > 1.5 * HOLD_REPEAT_S:
                 self._reset_after_hold(now)
-        elif report.state in ("Alarm", "Sleep", "Tool") or report.substate == 0 or report.state_text == "Door:1":
+        elif report.state in ("Alarm", "Sleep", "Tool") or report.substate == 0 or _at_door(report, 1):
             self._reset_after_hold(now)
 
     def _is_old_hold(self, now: float) -> bool:
@@ -221,7 +222,7 @@ class Stopping(BoardSettings):
     def _report_resetting(self, report: Report, now: float) -> None:
         if self.session.awaiting_banner:
             return
-        if report.state == "Hold" or report.state_text == "Door:0":
+        if report.state == "Hold" or _at_door(report, 0):
             self._reset_after_hold(now)
         elif report.state == "Door":
             # The door is still open: a reset does not leave this state. Nothing may move, even if it closes later.
@@ -284,6 +285,10 @@ class Stopping(BoardSettings):
 
     def _extended_by_axis(self) -> bool:
         return self.config.stylus.kind == "z_axis" and (self._extension_m or 0.0) > STYLUS_DOWN_M
+
+
+def _at_door(report: Report, substate: int) -> bool:
+    return report.state == "Door" and report.substate == substate
 
 
 def elsewhere(mpos_mm: Sequence[float], place_mm: Sequence[float]) -> bool:

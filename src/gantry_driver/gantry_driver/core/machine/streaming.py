@@ -29,6 +29,7 @@ from gantry_driver.core.program.gcode_check import Bounds, CheckedLine, ProgramC
 from gantry_driver.core.program.gcode_words import GcodeError
 from gantry_driver.core.program.marks import LineMarks
 from gantry_driver.core.states.machine_states import Note, Phase
+from gantry_driver.core.states.reasons import Reason, Why
 from gantry_driver.core.wire.goal import Goal
 from gantry_driver.core.wire.stages import DOWN_MM, LINE_S, SURPLUS_S, Send, depth_mm, make_script
 from gantry_driver.core.wire.watch import PathWatch
@@ -36,6 +37,7 @@ from icu_common.core.admission.rivals import RivalTopics
 from icu_common.core.goals.intent import Intent
 from icu_common.core.goals.results import GoalResult, Outcome
 from icu_common.core.processes.delays import Delay, ResultCode
+from icu_common.core.reasons.codes import DriverCode
 
 PROGRAM_MODES = ("G49", "G0G17G21G40G54G90G94")
 """Modes in force at a program's first line."""
@@ -64,7 +66,7 @@ class Streaming(Proving):
     def state_text(self) -> str:
         """The published state; a stop with another reason also names the conflicts that forbid the next motion."""
         text = super().state_text
-        conflicts = self._rivals.not_in(text) if self.phase.state == "stopped" else ""
+        conflicts = self._rivals.besides(str(self.reason)) if self.phase.state == "stopped" else ""
         return f"{text}; {conflicts}" if conflicts else text
 
     def panel(self, plane: PanelPlane, age_s: float, now: float) -> str:
@@ -95,6 +97,11 @@ class Streaming(Proving):
         self.session.realtime(HOLD)
         self._enter(Phase.MOVING, now, "paused")
         return ""
+
+    @property
+    def paused(self) -> bool:
+        """Whether a motion is paused, or its pause has begun."""
+        return self.phase is Phase.MOVING and self._pausing
 
     def resume(self, now: float) -> str:
         """Resume a paused motion."""
@@ -255,15 +262,16 @@ class Streaming(Proving):
             return "the driver is inactive"
         if text := self._rivals.text:
             return text
-        return "not enabled" if not self.enabled else self._heartbeat_refusal(now)
+        return "not enabled" if not self.enabled else str(self._heartbeat_refusal(now))
 
-    def _heartbeat_refusal(self, now: float) -> str:
+    def _heartbeat_refusal(self, now: float) -> Why:
         age = (now if self.wall_s is None else self.wall_s) - self._heartbeat_at
         if age <= self.config.heartbeat_timeout_s:
             return ""
         if math.isinf(age):
             return "no operator's heartbeat yet"
-        return f"operator's heartbeat lost: {age:.2f} s old, {self.config.heartbeat_timeout_s:g} s are allowed"
+        text = f"operator's heartbeat lost: {age:.2f} s old, {self.config.heartbeat_timeout_s:g} s are allowed"
+        return Reason(code=DriverCode.HEARTBEAT_LOST, text=text)
 
     def _refuse_program(self, goal_id: str, error: Exception) -> GoalResult:
         return self._answer(GoalResult(goal_id=goal_id, goal="program", outcome=Outcome.REJECTED, reason=str(error)))

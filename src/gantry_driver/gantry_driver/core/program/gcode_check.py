@@ -140,7 +140,7 @@ class ProgramChecker:
     def _written(self, words: Sequence[Word], feed: float) -> str:
         """Return the line for the board; ``feed`` is in mm/min, 0 if nothing moves."""
         modes = self._modes
-        kept = [w for w in words if w.letter != "F" and GROUP_OF.get(w.name) not in ("motion", "feed mode")]
+        kept = [w for w in words if w.letter != "F" and GROUP_OF.get(w.name) not in ("motion", "feed_mode")]
         if not any(w.letter in "XYZ" for w in kept):
             return "".join(f"{w.letter}{plain(w.value, 6)}" for w in kept if w.name != "G53")
         # Values before commands: after a reset cuts a line, its rest is not a move.
@@ -157,7 +157,7 @@ class ProgramChecker:
         modes.scale = {"G20": 25.4, "G21": 1.0}.get(commands.get("units", ""), modes.scale)
         modes.plane = commands.get("plane", modes.plane)
         modes.distance = commands.get("distance", modes.distance)
-        self._feed_by(commands.get("feed mode", modes.feed_mode))
+        self._feed_by(commands.get("feed_mode", modes.feed_mode))
         system = commands.get("coordinate system", modes.system)
         if system not in self._offsets:
             raise line.error(line.words[0], f"the offset of {system} is not known here")

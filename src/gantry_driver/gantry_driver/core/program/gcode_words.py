@@ -16,7 +16,7 @@ _GROUPS: dict[str, tuple[str, ...]] = {
     "plane": ("G17", "G18", "G19"),
     "distance": ("G90", "G91"),
     "arc distance": ("G91.1",),
-    "feed mode": ("G93", "G94"),
+    "feed_mode": ("G93", "G94"),
     "units": ("G20", "G21"),
     "cutter compensation": ("G40",),
     "tool length": ("G49",),
@@ -177,7 +177,9 @@ def _commands(number: int, words: Sequence[Word]) -> dict[str, str]:
         if group is None:
             raise GcodeError(number, word.column, f"{word.name} is not supported (error:20)")
         if group in found:
-            raise GcodeError(number, word.column, f"{found[group]} and {word.name} are both {group} (error:21)")
+            raise GcodeError(
+                number, word.column, f"{found[group]} and {word.name} are both {group.replace('_', ' ')} (error:21)"
+            )
         found[group] = word.name
         users = [name for name in found.values() if name in _AXIS_USERS]
         if len(users) > 1:

@@ -8,6 +8,13 @@ from gantry_driver.core.job.controller_config import ControllerConfig
 from gantry_driver.core.job.goal_job import Obstacle
 from icu_common.core.alignment.findings import Finding, FindingCode
 from icu_common.core.alignment.pair import PairCode, PairState
+from icu_common.core.reasons.codes import ControllerCode
+
+_CODES = {
+    FindingCode.CAMERA_MOVED: ControllerCode.CAMERA_MOVED,
+    FindingCode.CAMERA_CHANGING: ControllerCode.CAMERA_CHANGING,
+    FindingCode.CAMERA_UNCHECKED: ControllerCode.CAMERA_UNCHECKED,
+}
 
 
 def pair_finding(pair: PairState | None, age_s: float, config: ControllerConfig) -> Finding | None:
@@ -37,7 +44,12 @@ def pair_obstacles(finding: Finding | None) -> Iterator[Obstacle]:
     if finding is not None:
         passing = finding.code is not FindingCode.CAMERA_MOVED
         yield Obstacle(
-            state=f"waiting: {finding.text()}", reason=finding.text(), every_goal=False, passing=passing, delay=finding
+            code=_CODES[finding.code],
+            state=f"waiting: {finding.text()}",
+            reason=finding.text(),
+            every_goal=False,
+            passing=passing,
+            delay=finding,
         )
 
 

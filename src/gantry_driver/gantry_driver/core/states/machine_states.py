@@ -69,10 +69,12 @@ class StateChanged(Event):
     """``state`` or ``state: reason``.
 
     ``logged`` is False if a board that resets itself repeatedly causes a state again, which needs no second log line.
+    ``codes`` are the code of the reason and what belongs to it, by name.
     """
 
     text: str
     logged: bool = True
+    codes: tuple[tuple[str, str], ...] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -26,6 +26,7 @@ from harris_perception.core.pose.planar_pose import FacePoints
 from icu_common.core.geometry.camera_model import StereoModel
 from icu_common.core.geometry.geometry import Array, Transform
 from icu_common.core.goals.results import GoalResult, Outcome
+from icu_common.core.reasons.state_text import state_name
 
 _NEVER_SEEN = (
     "the tip was nowhere seen by both cameras: are left and right swapped, is one upside down, out of focus, or is the "
@@ -118,7 +119,7 @@ class CalibrationRun:
 
     def driver_state(self, text: str) -> list[Action]:
         """Set the driver's state; any state other than idle and moving ends the run."""
-        return [] if self.over or text.split(":")[0] in _FINE else self._fail(f"the driver says {text!r}")
+        return [] if self.over or state_name(text) in _FINE else self._fail(f"the driver says {text!r}")
 
     def reading(self, stamp_ns: int, reading: Array) -> None:
         """Add readings (3,) m."""

@@ -40,6 +40,7 @@ from icu_common.core.geometry.camera_model import CameraModel
 from icu_common.core.geometry.frames import PANEL
 from icu_common.core.geometry.geometry import Array, Transform
 from icu_common.core.goals.results import GoalResult
+from icu_common.core.reasons.state_text import state_name
 
 
 class Calibrator:
@@ -244,7 +245,7 @@ class Calibrator:
         """Start a calibration."""
         if self._run is not None:
             raise Refused("a calibration is already running")
-        if self.driver.split(":")[0] != "idle":
+        if state_name(self.driver) != "idle":
             raise Refused(f"the driver says {self.driver!r}: connected, homed and idle is needed")
         cameras, config = self._conditions.pair(), self.config
         try:
@@ -367,7 +368,7 @@ class Calibrator:
     def level(self) -> str:
         """Level for the diagnostics."""
         fine = self.stored is not None and not self.drifted
-        return "error" if self.state.startswith("failed") else "ok" if fine else "warn"
+        return "error" if state_name(self.state) == "failed" else "ok" if fine else "warn"
 
     def values(self) -> list[tuple[str, Any]]:
         """Values for the diagnostics."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from icu_common.core.reasons.state_text import state_name
+
 
 class RivalTopics:
     """Remembers the topics until a person has reset the driver's stop."""
@@ -23,9 +25,9 @@ class RivalTopics:
         """Programs and topics of all present conflicts, empty for none."""
         return "; ".join(self._texts.values())
 
-    def not_in(self, text: str) -> str:
-        """Return the present conflicts that a text does not name, joined by ``; ``; empty for none."""
-        return "; ".join(conflict for conflict in self._texts.values() if conflict not in text)
+    def besides(self, reason: str) -> str:
+        """Return the present conflicts other than the one that is the reason, joined by ``; ``; empty for none."""
+        return "; ".join(conflict for conflict in self._texts.values() if conflict != reason)
 
     def driver_is(self, state: str) -> None:
         """Forget the cause of the stop once the driver has left it."""
@@ -34,5 +36,5 @@ class RivalTopics:
 
     def clause(self, driver: str) -> str:
         """Return the cause of a stop as an addition to the driver's state, empty if the state names it already."""
-        stopped = driver.partition(":")[0] == "stopped"
+        stopped = state_name(driver) == "stopped"
         return f"; {self._held_for}" if stopped and self._held_for and self._held_for not in driver else ""

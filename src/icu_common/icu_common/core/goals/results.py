@@ -41,6 +41,24 @@ class Felt(str, Enum):
         return self in (Felt.PRESSED, Felt.TOUCHED)
 
 
+EFFECT, EFFECT_MISSING = "effect", "effect_missing"
+"""Keys of ``GoalResult.details``: the effect of a touch for people, and the code why none was seen; the latter is
+absent if one was seen."""
+
+
+class EffectMissing(str, Enum):
+    """Why no effect of a touch was seen."""
+
+    NONE = "none"
+    """The panel was read, and nothing has changed."""
+    UNREAD = "unread"
+    """The panel was not read since the touch."""
+    NOT_LOOKED_FOR = "not_looked_for"
+
+    def __str__(self) -> str:
+        return self.value
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GoalResult:
     """One answer.

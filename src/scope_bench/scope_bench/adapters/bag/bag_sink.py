@@ -93,13 +93,13 @@ class BagSink:
         """Queue a message."""
         with self._change:
             if len(data) >= _LARGE and not self.failure:
-                reason = self._gate.decide(topic, data, self._size, self._limit * 7 // 8, self._topics)
+                loss = self._gate.decide(topic, data, self._size, self._limit * 7 // 8, self._topics)
             elif self._size + len(data) > self._limit or self.failure:
-                reason = "room"
+                loss = "room"
             else:
-                reason = "rate" if self._gate.too_fast(topic, stamp_ns) else ""
-            if reason:
-                if reason == "rate":
+                loss = "rate" if self._gate.too_fast(topic, stamp_ns) else ""
+            if loss:
+                if loss == "rate":
                     self.thinned += 1
                 else:
                     self.dropped_by_topic[topic] += 1

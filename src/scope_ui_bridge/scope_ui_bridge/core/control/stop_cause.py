@@ -6,16 +6,19 @@ Causes are keys of the page's sentences, so that each page shows them in its lan
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Any
+
+from icu_common.core.reasons.codes import CODE, REASON, DriverCode
 
 PERSON = "stopped_by_person"
 ELSEWHERE = "stopped_elsewhere"
 BY_CONTROLLER = "stopped_by_controller"
+HEARTBEAT = "stopped_heartbeat"
 HELD_UP_S = 0.4
 """Seconds without a tick after which the bridge itself is the cause, not a page or camera that seemed silent."""
 PING_S = 0.2
 """Silence in seconds after which the bridge pings the page's browser."""
-_REQUESTED = "stop requested"
 _REACHES_DRIVER_S = 2.0
 _RECENT_S = 1.0
 
@@ -45,9 +48,8 @@ class StopCauses:
         self._noted_s = now_s
 
     def aborted(self, reason: str, now_s: float) -> None:
-        """Record why the controller aborted a goal: it may be the cause of the controller's stop request."""
-        if _REQUESTED not in reason:
-            self._abort, self._abort_s = reason, now_s
+        """Record why the controller has requested a stop."""
+        self._abort, self._abort_s = reason, now_s
 
     def alive(self) -> None:
         """Record a keep-alive of the operator's page."""
@@ -97,9 +99,18 @@ class StopCauses:
         """Return the cause of missing images."""
         return "stopped_bridge_held_up" if now_s < self._held_up_until_s else "stopped_no_picture"
 
-    def message(self, driver: str, reason: str) -> dict[str, Any] | None:
-        """Return the cause to show with the driver's state; None if the driver's own reason is enough."""
-        if driver != "stopped" or reason not in (_REQUESTED, ""):
+    def message(self, driver: str, reason: str, reported: Mapping[str, str]) -> dict[str, Any] | None:
+        """Return the cause to show with the driver's state; None if the driver's own reason is enough.
+
+        ``reported`` are the code and its values that the driver has reported with this state.
+        """
+        if driver != "stopped":
+            return None
+        code = reported.get(CODE, "")
+        if code == DriverCode.HEARTBEAT_LOST:
+            return {"code": HEARTBEAT, "who": "", "silence_s": 0.0}
+        # A further clause, as on a stylus that was not lifted, must be seen.
+        if reason and (code != DriverCode.STOP_REQUESTED or reason != reported.get(REASON)):
             return None
         if self._cause is not None:
             return self._cause

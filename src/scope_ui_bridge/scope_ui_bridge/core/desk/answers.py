@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from icu_common.core.goals.results import GoalResult, Outcome
+from icu_common.core.reasons.codes import STOP_ASKED
 from scope_ui_bridge.core.desk.motions import Motions
 from scope_ui_bridge.core.desk.state import DeskState
 from scope_ui_bridge.core.effects import Broadcast, Effect, Now, Order
@@ -70,7 +71,7 @@ class Answers:
     def result(self, result: GoalResult, now: Now) -> list[Effect]:
         """Process a result of the controller, for a command from here or from another client."""
         state = self._state
-        if result.outcome is Outcome.ABORTED:
+        if STOP_ASKED in dict(result.details):
             state.causes.aborted(result.reason, now.mono_s)
         known = state.log.goal(result.goal_id) or state.log.given_up(goal_id=result.goal_id)
         if known is None:

@@ -5,8 +5,10 @@ It has no clock, socket or ROS: every call takes :class:`Now` and returns the ef
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
+from icu_common.core.reasons.codes import CODE, ControllerCode
 from scope_ui_bridge.core import wire
 from scope_ui_bridge.core.access import FLOODING, SHORT, Role
 from scope_ui_bridge.core.config import BridgeConfig
@@ -62,6 +64,8 @@ class Desk:
         self._feed = StateFeed(state, self.chosen, title, robot)
         self.answers = Answers(state, self._motions)
         self.tip_path = TipPath(state, self.chosen)
+        self._stop_unexplained = False
+        """Whether the controller has stopped, and the code of this state has not been reported yet."""
 
     @property
     def config(self) -> BridgeConfig:
@@ -235,11 +239,25 @@ class Desk:
     def set_state(self, part: str, text: str) -> None:
         """Set the state of driver, controller, calibration or sequencer; empty if the node is missing."""
         self.machine.set_state(part, text)
-        state, reason = self.machine.state(part)
-        if part == "controller" and state == "stopped":  # at rest, no result of a goal contains the cause
-            self._state.causes.aborted(reason, self._state.now_s)
+        if part == "controller":
+            self._stop_unexplained = self.machine.state(part)[0] == "stopped"
+            self._explain_stop()
         if part == "sequencer":
             self.sequence.set_state(text)
+
+    def set_report(self, part: str, text: str, values: Mapping[str, str]) -> None:
+        """Set the code and its values that a part has reported with the text of a state."""
+        self.machine.set_report(part, text, values)
+        self._explain_stop()
+
+    def _explain_stop(self) -> None:
+        """Record a stop that the controller has requested at rest: no result of a goal contains its cause."""
+        reported = self.machine.reported("controller")
+        if not self._stop_unexplained or reported is None:
+            return
+        self._stop_unexplained = False
+        if reported.get(CODE) in (ControllerCode.CONFLICT, ControllerCode.FAILED):
+            self._state.causes.aborted(self.machine.state("controller")[1], self._state.now_s)
 
     def said(self, line: dict[str, Any]) -> None:
         """Keep a log line of a program of the graph (wall_ms, level, name, text) for the engineers' consoles."""

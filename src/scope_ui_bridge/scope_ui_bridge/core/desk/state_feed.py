@@ -131,7 +131,7 @@ class StateFeed:
         return {
             **state.machine.message(),
             "moving": state.moving,
-            "stop_cause": state.causes.message(*state.machine.state("driver")),
+            "stop_cause": state.causes.message(*state.machine.state("driver"), state.machine.reported("driver") or {}),
             "lease": {
                 "epoch": lease.epoch,
                 "holder": lease.holder,

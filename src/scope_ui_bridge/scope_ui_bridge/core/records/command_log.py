@@ -7,7 +7,7 @@ from collections import deque
 from dataclasses import dataclass, replace
 from typing import Any
 
-from icu_common.core.goals.results import GoalResult
+from icu_common.core.goals.results import EFFECT, EFFECT_MISSING, EffectMissing, GoalResult
 from scope_ui_bridge.core.effects import Broadcast, Effect, Now, Record
 
 _OPEN = ("sent", "accepted")
@@ -144,7 +144,7 @@ class CommandLog:
         details = dict(result.details)
         # An error of a move from the board's own readings is no measurement: they are where the board assumes to be.
         measured = math.isfinite(result.error_m) and details.get("measured_by") != "readings"
-        effect = details.get("effect", "")
+        looked_for = details.get(EFFECT_MISSING) != EffectMissing.NOT_LOOKED_FOR
         changed = self.update(
             entry,
             status=result.outcome.value,
@@ -152,7 +152,7 @@ class CommandLog:
             error_mm=round(result.error_m * 1e3, 3) if measured else None,
             bound_mm=_millimetres(details.get("error_95_m", "")) if measured else None,
             duration_s=round(result.duration_s, 2) if math.isfinite(result.duration_s) else None,
-            effect="" if effect == "not looked for" else effect,
+            effect=details.get(EFFECT, "") if looked_for else "",
             touch="" if result.touch is None else result.touch.value,
         )
         return [shown(changed), result_record(changed, now)]

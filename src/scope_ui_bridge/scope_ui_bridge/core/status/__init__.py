@@ -6,7 +6,7 @@ must not move. ``machine_view`` has the machine and the stamps of its images, ``
 """
 
 from scope_ui_bridge.core.status.liveness import Change, Condition, LivenessMonitor, Sender, judge
-from scope_ui_bridge.core.status.machine_view import MachineView, split_state
+from scope_ui_bridge.core.status.machine_view import MachineView
 from scope_ui_bridge.core.status.panel_view import PanelView
 from scope_ui_bridge.core.status.recordings import Recordings
 from scope_ui_bridge.core.status.sequence_view import SequenceView, stored_name
@@ -21,6 +21,5 @@ __all__ = [
     "Sender",
     "SequenceView",
     "judge",
-    "split_state",
     "stored_name",
 ]

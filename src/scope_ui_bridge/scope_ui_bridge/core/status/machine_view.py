@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Mapping
 from typing import Any
 
 from icu_common.core.geometry.geometry import Transform
+from icu_common.core.reasons.codes import StateReports
+from icu_common.core.reasons.state_text import split_state
 from scope_ui_bridge.core import wire
 from scope_ui_bridge.core.config import BridgeConfig
 from scope_ui_bridge.core.effects import Now
@@ -24,20 +27,12 @@ _MOVING = {
 }
 
 
-def split_state(text: str) -> tuple[str, str]:
-    """Split ``state: reason`` or ``calibrating 3/12, 9 s left (...)`` into the state's name and the rest."""
-    name, _, reason = text.partition(":")
-    head, _, progress = name.strip().partition(" ")
-    if head == "calibrating":
-        return head, text.strip().removeprefix(head).strip()  # its reason may contain a colon
-    return head, (reason.strip() or progress.strip())
-
-
 class MachineView:
     """Newest states, confidence of the recognition, position of the tip, and stamps of the shown images."""
 
     def __init__(self) -> None:
         self._states = dict.fromkeys(_MOVING, "")
+        self._reports = {part: StateReports() for part in _MOVING}
         self._confidence = math.nan
         self._confidence_s = -math.inf
         self._position: tuple[float, float, float] | None = None
@@ -109,6 +104,14 @@ class MachineView:
         self._moving_since_s = min(self._moving_since_s, now.graph_s)
         silence_s = now.graph_s - self._picture_s
         return silence_s if silence_s < now.graph_s - self._moving_since_s + 1.0 else 0.0
+
+    def set_report(self, part: str, text: str, values: Mapping[str, str]) -> None:
+        """Set the code and its values that a part has reported with the text of a state."""
+        self._reports[part].take(text, values)
+
+    def reported(self, part: str) -> Mapping[str, str] | None:
+        """Return the code and its values that a part has reported with its state, None if not yet."""
+        return self._reports[part].values_of(self._states[part])
 
     # --- checks ----------------------------------------------------------------------------------------------------
 

@@ -11,6 +11,7 @@ from icu_common.core.goals.results import GoalResult, Outcome
 from icu_common.core.goals.sequence import Sequence, SequenceError, parse_steps, unfit
 from icu_common.core.panel.gesture import parse_gesture
 from icu_common.core.panel.panel_state import PanelSeen
+from icu_common.core.reasons.state_text import state_name
 from scope_ui_bridge.core import wire
 from scope_ui_bridge.core.wire import Refusal
 
@@ -106,7 +107,7 @@ class SequenceView:
     @property
     def at_work(self) -> bool:
         """Whether the sequencer is running a sequence of any client."""
-        return self._state.startswith("step ")
+        return state_name(self._state) == "step"
 
     def check_idle(self) -> None:
         """Refuse while a sequence is running: ``sequence_runs``."""

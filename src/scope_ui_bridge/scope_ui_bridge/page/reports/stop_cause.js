@@ -3,9 +3,6 @@
 import { said } from "../language/said.js";
 import { t } from "../language/strings.js";
 
-// The driver's own reasons for a stop that concern an operator's page; other reasons are shown unchanged.
-const DRIVER = [[/^operator's heartbeat lost/, "stopped_heartbeat"]];
-
 /** Return the sentence for a stopped driver. */
 export function stopBanner(state) {
   const reason = causeText(state);
@@ -17,6 +14,5 @@ function causeText({ stop_cause: cause, driver: { reason } }) {
     const after = cause.silence_s ? t("stopped_after", { seconds: cause.silence_s.toFixed(1) }) : "";
     return `${t(cause.code, { who: said(cause.who) })} ${after}`.trim();
   }
-  const known = DRIVER.find(([pattern]) => pattern.test(reason));
-  return known ? t(known[1]) : said(reason);
+  return said(reason);
 }

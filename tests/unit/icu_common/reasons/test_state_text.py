@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from scope_ui_bridge.core.status import split_state
+from icu_common.core.reasons.state_text import split_state
 
 
 @pytest.mark.parametrize(
