@@ -43,6 +43,7 @@ ONLY_ELSEWHERE = {
         *("pair_rotation", "pair_watch", "layout", "pair", "layout_message", "pair_message", "panel_check"),
         *("structure", "lanes", "edge_alignment", "overlay", "foxglove_sidecar", "passwords", "secret_files", "audit"),
         "bridge_files",
+        "grbl_client",
         *(
             "turned_away",
             "front_door",
