@@ -518,6 +518,24 @@ def test_hidden_tip() -> None:
     assert min(z for _, _, z in bench.lowest) >= RUN_STOP[2] + 0.009
 
 
+@pytest.mark.parametrize("phase", [Phase.TOUCH, Phase.CONTACT])
+def test_a_long_contact_ends_when_the_stylus_tracker_falls_silent(phase: Phase) -> None:
+    bench = Bench().start()
+    moments: list[int] = []
+
+    def silence_tracker(b: Bench) -> None:
+        moments.append(b.now_ns)
+        b.talking -= {"tip", "tracker"}
+
+    bench.on_phase[phase] = silence_tracker
+    bench.on_phase[Phase.BREAK_OFF] = lambda b: moments.append(b.now_ns)
+    result = bench.do("hold:SCREEN:6")
+    aborted(bench, result, "touched, but not measured: no image that the stylus tracker has evaluated for 1.", "is up")
+    stylus_is_up(bench)
+    silent_ns, lifting_ns = moments
+    assert (lifting_ns - silent_ns) / 1e9 < 1.5
+
+
 @pytest.mark.parametrize("command", ["press:RUN_STOP", "hold:RUN_STOP:1", "turn:CH1_SCALE:30"])
 @pytest.mark.parametrize("silent", ["tip", "camera"])
 def test_hidden_contact(command: str, silent: str) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -28,7 +29,7 @@ from gantry_driver.core.job.goal_job import (
     Step,
     intent_in,
 )
-from gantry_driver.core.job.patience import next_limit_s
+from gantry_driver.core.job.patience import next_limit_s, since
 from gantry_driver.core.motion import motion_plan
 from gantry_driver.core.motion.motion_plan import OutOfReach, Path
 from icu_common.core.alignment.findings import Cause
@@ -37,6 +38,12 @@ from icu_common.core.goals.intent import Intent
 from icu_common.core.goals.results import Outcome
 from icu_common.core.processes.delays import Delay, ResultCode
 from icu_common.core.reasons.codes import STOP_ASKED, ControllerCode
+
+UNWATCHED_S = 1.2
+"""Maximum age of the newest image that the stylus tracker has evaluated, in a contact: a contact that nobody watches
+must end within 2 s, the time to lift included."""
+LONGER_S = 0.1
+"""Seconds by which such a contact is longer than any press."""
 
 
 class GoalRun:
@@ -239,6 +246,8 @@ class GoalRun:
         assert job.scene is not None
         if self.phase in FREE_VIEW and (fault := self._world.view_fault(self.config, job.touch.control)) is not None:
             return fault
+        if self.phase is Phase.CONTACT and (fault := self._unwatched_fault(job)) is not None:
+            return fault
         return self._world.sight_fault(
             self.config,
             job.scene,
@@ -247,6 +256,18 @@ class GoalRun:
             crossing=crossing,
             patient=patient and self.phase in (*FREE_VIEW, *WAITING),
         )
+
+    def _unwatched_fault(self, job: Job) -> Fault | None:
+        """Return the fault of a contact of which the stylus tracker has evaluated no image for too long.
+
+        The images of a press, which is shorter, may come while the stylus rises.
+        """
+        silent_s = self._world.age_s(self._world.tracked_ns)
+        longer = self._now_ns > job.down_ns + nanoseconds(self.config.press_max_s + LONGER_S)
+        if not longer or not UNWATCHED_S < silent_s < math.inf:
+            return None
+        cause = f"touched, but not measured: no image that the stylus tracker has evaluated {since(silent_s)}"
+        return Fault(cause=cause, tells_touch=True)
 
     def _break_off(self, job: Job, fault: Fault) -> None:
         """End the goal early: hold the machine, or let a motion in the air end and then retract, or only report."""

@@ -415,6 +415,7 @@ export const PHRASES_DE = [
   ["the tip was measured beside the target, as it could not be seen before it", "die Spitze wurde neben dem Ziel gemessen, da sie davor nicht zu sehen war"],
   ["cameras beside it", "Kameras daneben"],
   ["corrected aim: {}", "korrigiertes Ziel: {}"],
+  ["touched, but not measured: no image that the stylus tracker has evaluated {}", "berührt, aber nicht gemessen: {} wurde kein Bild des Stifts ausgewertet"],
   ["touched, but not measured: {}", "berührt, aber nicht gemessen: {}"],
   ["the tip was seen {} mm above the surface when it should touch, {} mm are allowed: does the stylus come down, is the picture new?", "die Spitze war {} mm über der Fläche zu sehen, als sie berühren sollte, {} mm sind erlaubt: geht der Stift herunter, ist das Bild neu?"],
   ["the stylus is {} mm higher than its readings say", "der Stift ist {} mm höher, als seine Anzeigen sagen"],
