@@ -184,12 +184,26 @@ PATIENT = {
 @pytest.fixture(scope="session")
 def started_graph(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningGraph]:
     """A graph as it is after its start: neither homed nor calibrated; the tests of a session share it."""
+    with _graph(tmp_path_factory.mktemp("graph"), domain_of_worker(50, 40)) as graph:
+        yield graph
+
+
+@pytest.fixture
+def new_graph(tmp_path: Path) -> Iterator[RunningGraph]:
+    """A graph of the test's own, neither homed nor calibrated."""
+    with _graph(tmp_path / "graph", domain_of_worker(50, 40) + 1) as graph:
+        yield graph
+
+
+@contextlib.contextmanager
+def _graph(folder: Path, domain: int) -> Iterator[RunningGraph]:
     patience = [text for name, value in PATIENT.items() for text in ("--set", f"ui_bridge.{name}={value}")]
     # The tests also run command-line programs next to their operator.
     programs = f"{PROGRAMS} operator"
     nodes = ("serial_driver", "gantry_controller")
     patience += [text for node in nodes for text in ("--set", f"{node}.heartbeat_programs={programs}")]
-    graph = RunningGraph(tmp_path_factory.mktemp("graph"), domain_of_worker(50, 40), *patience)
+    folder.mkdir(exist_ok=True)
+    graph = RunningGraph(folder, domain, *patience)
     try:
         yield graph
     finally:
@@ -210,7 +224,7 @@ def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, pytest.TestR
     """Show beside a failure what the graph said: the fault may be its own."""
     report = yield
     fixtures = getattr(item, "funcargs", {})
-    graph = fixtures.get("started_graph") or fixtures.get("running_graph")
+    graph = next((fixtures[name] for name in ("started_graph", "running_graph", "new_graph") if name in fixtures), None)
     if report.failed and graph is not None:
         report.sections.append(("graph", graph.tail()))
     return report
