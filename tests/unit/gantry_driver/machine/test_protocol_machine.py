@@ -1509,9 +1509,10 @@ def test_pause_holds_and_resume_goes_on_without_losing_a_line() -> None:
     rig = Rig().homed()
     source = [f"G53 G1 X{-359 + 5 * k} F9000" for k in range(1, 41)]
     assert rig.machine.pause(rig.now) == "nothing to pause: the driver is idle"
+    assert not rig.machine.paused
     assert rig.machine.run_program("p", source, rig.now).outcome.value == "accepted"
     rig.run_for(0.4)
-    assert rig.machine.pause(rig.now) == ""
+    assert rig.machine.pause(rig.now) == "" and rig.machine.paused
     rig.until(lambda: rig.board.state == "Hold:0", 1.0)
     where = list(rig.board.mpos)
     rig.run_for(5.0)
