@@ -210,18 +210,27 @@ def judge(rig: Rig, fault: Fault, way: list[Point], sent: list[str], since: int,
 
 
 def judge_places(heard: Sequence[str], way: list[Point], *, reached: bool) -> None:
-    """Compare where lines go that are written in a frame, or stop on the way down, with the points of the path."""
+    """Compare where lines go that are written in a frame, or stop on the way down, with the points of the path.
+
+    After a path that was ended, early or after its end, the stylus may be lifted to where it is homed; nothing follows.
+    """
     here, offset = list(HOMED), [0.0, 0.0, 0.0]
     wanted = [(HOMED[0] + 1000 * x, HOMED[1] + 1000 * y, HOMED[2] - 1000 * z) for x, y, z in way]
     wanted = [place for place, before in zip(wanted, [HOMED, *wanted]) if place != before]
+    lifted = False
     for text in heard:
         words = {a: float(value) for a, value in re.findall(r"([XYZ])(-?[\d.]+)", text)}
+        lifts = (not reached or not wanted) and "G53" in text and words == {"Z": HOMED[2]}
+        assert lifts or not lifted or not words, f"{text} follows the lift of a path that was ended"
         if "G92" in text:
             offset = [at - words.get(a, at) for a, at in zip("XYZ", here)]
         elif words:
             base = [0.0, 0.0, 0.0] if "G53" in text else offset
             here = [words[a] + o if a in words else at for a, at, o in zip("XYZ", here, base)]
             next_place = next(iter(wanted), None)
+            if lifts and (next_place is None or max(abs(a - b) for a, b in zip(here, next_place)) >= 0.002):
+                lifted = True
+                continue
             assert next_place is not None, f"{text} goes on behind the end of the path"
             if max(abs(a - b) for a, b in zip(here, next_place)) < 0.002:
                 wanted.pop(0)
