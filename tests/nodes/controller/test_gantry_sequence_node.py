@@ -177,8 +177,8 @@ def test_what_ends_a_gesture_ends_a_sequence_that_waits_for_a_check_too(
     assert len(rig.commands) == 1, "the second step was never sent"
 
 
-def test_a_stop_that_was_reset_while_the_sequencer_was_held_up_ends_it(ros: Any) -> None:
-    """Only the newest state was kept for a node that was held up: it never heard of the stop, and pressed on."""
+def rig_that_waits_for_a_check(ros: Any) -> Rig:
+    """Return a rig whose sequencer has had the answer of its only gesture, and waits for a red lamp."""
     rig = Rig(ros)
     rig.sequence.publish(
         String(data="id: mine\nsteps: [{do: press:RUN_STOP, check: 'lamp:RUN_STOP=red', within_s: 60}]")
@@ -186,6 +186,12 @@ def test_a_stop_that_was_reset_while_the_sequencer_was_held_up_ends_it(ros: Any)
     rig.wait_for_command(1)
     rig.reach("mine.1")
     ros.spin_until(lambda: rig.node._run._answer is not None, 10.0)
+    return rig
+
+
+def test_a_stop_that_was_reset_while_the_sequencer_was_held_up_ends_it(ros: Any) -> None:
+    """Only the newest state was kept for a node that was held up: it never heard of the stop, and pressed on."""
+    rig = rig_that_waits_for_a_check(ros)
     rig.state.publish(String(data="stopped: operator"))
     rig.state.publish(String(data="ready"))
     ros.spin_until(lambda: (rig.see("red"), rig.node._run is None)[1], 10.0)
@@ -195,13 +201,7 @@ def test_a_stop_that_was_reset_while_the_sequencer_was_held_up_ends_it(ros: Any)
 
 def test_an_operator_who_was_absent_while_the_sequencer_was_held_up_ends_it(ros: Any) -> None:
     """The codes of both states come after the newer state: the older one still has its own."""
-    rig = Rig(ros)
-    rig.sequence.publish(
-        String(data="id: mine\nsteps: [{do: press:RUN_STOP, check: 'lamp:RUN_STOP=red', within_s: 60}]")
-    )
-    rig.wait_for_command(1)
-    rig.reach("mine.1")
-    ros.spin_until(lambda: rig.node._run._answer is not None, 10.0)
+    rig = rig_that_waits_for_a_check(ros)
     rig.state.publish(String(data="waiting: no operator (heartbeat)"))
     rig.state.publish(String(data="ready"))
     ros.spin_until(lambda: rig.node._controller == "ready", 10.0)

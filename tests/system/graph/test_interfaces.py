@@ -1,6 +1,6 @@
 """Topics, services and parameters of every node of the graph: other programs depend on them, so a change is deliberate.
 
-`make interfaces` writes the file anew; its diff is what users have to change.
+`make interfaces` writes the file again. Its diff shows users what they have to change.
 """
 
 from __future__ import annotations

@@ -40,10 +40,10 @@ from icu_common.core.processes.delays import Delay, ResultCode
 from icu_common.core.reasons.codes import STOP_ASKED, ControllerCode
 
 UNWATCHED_S = 1.2
-"""Maximum age of the newest image that the stylus tracker has evaluated, in a contact: a contact that nobody watches
-must end within 2 s, the time to lift included."""
+"""Maximum age of the newest image that the stylus tracker has evaluated while the stylus touches. A touch without new
+images must end within 2 s, the time to lift included."""
 LONGER_S = 0.1
-"""Seconds by which such a contact is longer than any press."""
+"""Seconds beyond ``press_max_s`` after which the age of images counts: those of a press may come while it lifts."""
 
 
 class GoalRun:
