@@ -5,6 +5,8 @@ from __future__ import annotations
 import asyncio
 import json
 import threading
+from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import TimeoutError as StillWaiting
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +32,29 @@ def test_a_missing_or_broken_certificate_is_said_with_its_name(tmp_path: Path, c
         key.write_bytes(content)
     with pytest.raises(ConfigError, match=rf"cannot serve.*tls_certificate = '{certificate}', tls_key = '{key}': .+"):
         Rig(tls_certificate=str(certificate), tls_key=str(key))
+
+
+def test_closing_a_server_whose_thread_is_ending_waits_for_that_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    closed, may_end = threading.Event(), threading.Event()
+
+    class EndsLate(asyncio.SelectorEventLoop):
+        def close(self) -> None:
+            super().close()
+            closed.set()
+            may_end.wait(WITHIN_S)
+
+    monkeypatch.setattr(asyncio, "new_event_loop", EndsLate)
+    server = Rig().server
+    with ThreadPoolExecutor() as pool:
+        first = pool.submit(server.close)
+        assert closed.wait(WITHIN_S)
+        second = pool.submit(server.close)  # the loop is closed and its thread still alive
+        with pytest.raises(StillWaiting):
+            second.result(timeout=0.2)
+        may_end.set()
+        first.result(WITHIN_S)
+        second.result(WITHIN_S)
+    assert not server.alive
 
 
 def test_closing_the_server_ends_open_connections() -> None:

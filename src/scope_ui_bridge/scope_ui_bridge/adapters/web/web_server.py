@@ -131,7 +131,8 @@ class WebServer:
     def close(self) -> None:
         """Close all connections and end the thread."""
         if self._thread.is_alive():
-            self._loop.call_soon_threadsafe(self._closing.set)
+            with contextlib.suppress(RuntimeError):  # the thread has closed its loop and is about to end
+                self._loop.call_soon_threadsafe(self._closing.set)
             self._thread.join(_START_TIMEOUT_S)
         self.encoder.close()
         self.door.close()
