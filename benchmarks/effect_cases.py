@@ -1,8 +1,8 @@
 """Cases for measurements, made from the declarations of the simulated bench's effects.
 
 An effect is a nested configuration of the class :class:`icu_simulator.imaging.effect.Effect`: its values are its
-ordinary size, ``SCALED`` names the fields that are doubled, ``SOURCE`` is the source of the sizes. The kinds of keys are effects
-as well, and so are some settings whose default is no error.
+ordinary size, ``SCALED`` names the fields that are doubled, ``SOURCE`` is the source of the sizes. The kinds of keys
+are effects as well, and so are some settings whose default is no error.
 """
 
 from __future__ import annotations
