@@ -5,7 +5,7 @@ from pathlib import Path
 from setuptools import find_packages, setup
 
 NAME = "gantry_driver"
-LIBRARIES = ["numpy", "pyserial", "PyYAML"]
+LIBRARIES = ["numpy", "opencv-python-headless", "pyserial", "PyYAML"]
 COMMON = Path(__file__).resolve().parents[1] / "icu_common"
 # In the project's folder pip installs all that is needed. A package on its own names nothing: rosdep has other names.
 NEEDED = [f"icu_common[libraries] @ {COMMON.as_uri()}", *LIBRARIES] if COMMON.is_dir() else []
@@ -38,6 +38,7 @@ setup(
             "gantry_gcode = gantry_driver.cli.gantry_gcode:main",
             "gantry_monitor = gantry_driver.cli.gantry_monitor:main",
             "gantry_prepare = gantry_driver.cli.gantry_prepare:main",
+            "gantry_accept = gantry_driver.cli.gantry_accept:main",
         ],
     },
 )
