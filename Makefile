@@ -8,7 +8,7 @@ unexport PYTHONDONTWRITEBYTECODE
 VENV := .venv/bin
 INSTALL := ros2_ws/install
 
-.PHONY: help demo test test-quick test-all test-rest test-long check bench campaign damage matrix noise effects golden interfaces soak story docs setup clean picture animation cover mutants
+.PHONY: help demo test test-quick test-all test-rest test-long check bench campaign damage matrix noise effects golden interfaces soak story docs setup clean picture animation figures cover mutants
 
 help: ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -48,8 +48,8 @@ test-long:
 
 check: ## lint, formatting, types and import contracts
 	@scripts/setup.sh dev
-	@$(VENV)/ruff check src tests benchmarks && $(VENV)/ruff format --check --quiet src tests benchmarks || \
-		{ echo "formatting differs; mend it with: .venv/bin/ruff format src tests benchmarks"; exit 1; }
+	@$(VENV)/ruff check src tests benchmarks scripts && $(VENV)/ruff format --check --quiet src tests benchmarks scripts || \
+		{ echo "formatting differs; mend it with: .venv/bin/ruff format src tests benchmarks scripts"; exit 1; }
 	@if [ "$${ROS_DISTRO:-}" = jazzy ]; then echo "types: checked without Jazzy only, Ubuntu's OpenCV and numpy 1 have no such stubs"; \
 		else $(VENV)/mypy -n 2 || { echo "once more in one process (on a busy computer workers start too late)"; $(VENV)/mypy; }; fi
 	@PYTHONPATH=$$(echo src/*/ | tr ' ' ':') $(VENV)/lint-imports --no-cache
@@ -131,6 +131,10 @@ picture: story ## make the picture of the operator page again
 
 animation: ## record the README's press from a running demo, ADDRESS='http://127.0.0.1:8080/?token=...'
 	@PYTHONPATH=tests:$$(echo src/*/ | tr ' ' ':') $(VENV)/python -m press_picture '$(ADDRESS)' -o docs/press.webp
+
+figures: ## draw the figures of the documents from the configuration and the detector
+	@scripts/setup.sh dev
+	@for file in scripts/figures/*.py; do PYTHONPATH=$$(echo src/*/ | tr ' ' ':') $(VENV)/python $$file || exit 1; done
 
 setup: ## only set up
 	@scripts/setup.sh dev

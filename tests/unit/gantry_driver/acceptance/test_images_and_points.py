@@ -45,6 +45,17 @@ def test_blur_does_not_depend_on_contrast_and_needs_edges() -> None:
     assert math.isnan(edge_blur_px(picture, ~whole)), "nothing of the panel is in the image"
 
 
+def test_lines_do_not_count_as_sharp_edges() -> None:
+    """A printed line is narrower than its blur; its fall follows at once and would look like a sharper edge."""
+    lines = np.full((200, 300), 60.0, np.float32)
+    lines[20:180, 10:290:12] = 190.0
+    lines = cv2.GaussianBlur(lines, (0, 0), 1.2)
+    picture = np.vstack([blurred(1.2, noise=0.0), lines.astype(np.uint8)])
+    measured = edge_blur_px(picture, np.ones(picture.shape, bool))
+    assert measured == pytest.approx(edge_blur_px(blurred(1.2, noise=0.0), np.ones((200, 300), bool)), rel=0.02)
+    assert math.isnan(edge_blur_px(lines.astype(np.uint8)[30:170], np.ones((140, 300), bool)))
+
+
 def test_view_of_a_panel_has_the_share_inside_and_the_margin() -> None:
     corners = np.array([(10.0, 20.0), (90.0, 20.0), (90.0, 60.0), (10.0, 60.0)])
     outline = along_outline(corners)

@@ -43,9 +43,13 @@ class Plot:
         self._parts.append(f'<circle cx="{x:.1f}" cy="{y:.1f}" r="{radius:.1f}" fill="{colour}">{text}</circle>')
 
     def label(self, point_mm: Array, text: str) -> None:
+        """Write a text above a point, to its left near the right border."""
         x, y = self.at(point_mm)
+        side, anchor = (-6.0, "end") if x > 0.8 * _WIDTH else (6.0, "start")
+        words = html.escape(text)
         self._parts.append(
-            f'<text x="{x + 6:.1f}" y="{y - 6:.1f}" font-size="11" fill="{LINE}">{html.escape(text)}</text>'
+            f'<text x="{x + side:.1f}" y="{y - 6:.1f}" font-size="11" text-anchor="{anchor}" fill="{LINE}">'
+            f"{words}</text>"
         )
 
     def arrow(self, point_mm: Array, way_mm: Array, colour: str) -> None:
@@ -70,7 +74,7 @@ class Plot:
         )
 
 
-def axes_plot(measured: Measured, enlarged: float = 100.0) -> str:
+def axes_plot(measured: Measured, enlarged: float = 500.0) -> str:
     """Return the seen tips on the panel, with their enlarged distances from straight axes."""
     seen, fit = measured.seen, measured.fit
     tips = np.array([visit.tip for visit in seen if visit.tip is not None]).reshape(-1, 3)[:, :2] * 1e3

@@ -18,6 +18,8 @@ MIN_CONTRAST = 6.0
 """Minimum gradient of an edge in grey levels per pixel, above the noise of a camera."""
 MIN_EDGES = 50
 """Minimum number of edge pixels for a median."""
+_FLAT = 0.1
+"""Maximum opposite gradient within four pixels of an edge, as a share of the edge's own."""
 _FIRST_PX = 0.5
 _DIFFERENCE_PX2 = 1 / 3
 """Variance by which a central difference, the mean over two pixels, blurs a gradient."""
@@ -36,18 +38,21 @@ def edge_blur_px(gray: npt.NDArray[np.uint8], mask: npt.NDArray[np.bool_]) -> fl
     twice = _gradients(cv2.GaussianBlur(image, (0, 0), math.hypot(_FIRST_PX, 1.0)))
     blurs = []
     for axis, line in enumerate(((1, 9), (9, 1))):  # edges across x, and across y
-        first, second, along = once[axis], twice[axis], once[1 - axis]
-        peak = first >= cv2.dilate(first, np.ones(line, np.uint8))
-        found = peak & (first > 3 * along) & (first > MIN_CONTRAST) & mask
-        ratio = first[found] / np.maximum(second[found], 1e-6)
-        blurs.append(1.0 / np.sqrt(np.maximum(ratio**2 - 1.0, 1e-6)))
+        first, second, along = once[axis], twice[axis], np.abs(once[1 - axis])
+        for sign in (1.0, -1.0):
+            rise, near = sign * first, np.ones(line, np.uint8)
+            peak = (rise > MIN_CONTRAST) & (rise >= cv2.dilate(rise, near)) & (rise > 3 * along)
+            # A line has a fall beside its rise: blurred again, it fades more than a step does.
+            step = peak & (cv2.erode(rise, near) > -_FLAT * rise) & mask
+            ratio = rise[step] / np.maximum(sign * second[step], 1e-6)
+            blurs.append(1.0 / np.sqrt(np.maximum(ratio**2 - 1.0, 1e-6)))
     all_blurs = np.concatenate(blurs)
     if len(all_blurs) < MIN_EDGES:
         return math.nan
     return math.sqrt(max(float(np.median(all_blurs)) ** 2 - _FIRST_PX**2 - _DIFFERENCE_PX2, 0.0))
 
 
-def _gradients(image: npt.NDArray[Any]) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
-    """Return the sizes of the gradients along x and y."""
+def _gradients(image: npt.NDArray[Any]) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
+    """Return the gradients along x and y."""
     kernel = np.array([[-0.5, 0.0, 0.5]], np.float32)
-    return np.abs(cv2.filter2D(image, -1, kernel)), np.abs(cv2.filter2D(image, -1, kernel.T))
+    return cv2.filter2D(image, -1, kernel), cv2.filter2D(image, -1, kernel.T)
