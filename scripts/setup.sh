@@ -4,6 +4,7 @@
 #
 #   scripts/setup.sh        what the graph needs
 #   scripts/setup.sh dev    and what tests, checks and benchmarks need
+#   scripts/setup.sh docs   what the graph needs, and the generator of the documents' site
 set -euo pipefail
 cd "$(dirname "$0")/.."
 root=$PWD
@@ -196,6 +197,7 @@ kernels=$(find src/harris_perception/harris_perception/core -name '*.py' | sort 
 if [ ! -f "$venv/.compiled" ] || [ "$(cat "$venv/.compiled")" != "$kernels" ]; then meanwhile compile; fi
 if [ $jazzy = no ]; then wait_for install requirements.txt "rclpy and Fast DDS (with the others about 400 MB, a minute or so)"; fi
 if [ "$want" = dev ]; then meanwhile install requirements-dev.txt "tools for tests and checks, meanwhile" quiet; fi
+if [ "$want" = docs ]; then wait_for install requirements-docs.txt "generator of the documents' site"; fi
 
 # colcon only sees an environment made by local_setup files; this one lets it find the wheels' messages.
 if [ $jazzy = no ]; then
