@@ -119,7 +119,8 @@ interfaces: ## write topics, services and parameters of every node anew, with wh
 
 docs: ## the site of the documents with the API pages in artifacts/site; a broken link or a missing page is an error
 	@scripts/setup.sh docs
-	@NO_MKDOCS_2_WARNING=1 $(VENV)/mkdocs build --strict --quiet && echo "open artifacts/site/index.html"
+	@set -o pipefail; NO_MKDOCS_2_WARNING=1 $(VENV)/mkdocs build --strict 2>&1 | { grep -v ^INFO || true; }
+	@echo "open artifacts/site/index.html"
 
 story: ## a new user's whole way at the page on the whole graph; pictures in artifacts/story
 	@scripts/setup.sh dev

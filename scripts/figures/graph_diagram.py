@@ -1,4 +1,4 @@
-"""Draw the programs of the graph and the topics between them: docs/explanation/graph.svg. Run it by ``make figures``."""
+"""Draw the programs of the graph and the topics between them (docs/explanation/graph.svg); see ``make figures``."""
 
 from __future__ import annotations
 

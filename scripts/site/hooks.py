@@ -22,7 +22,7 @@ SHIM = "assets/javascripts/iframe-worker.js"
 PAGES = ("CHANGELOG.md", "CONTRIBUTING.md", *sorted(str(p.relative_to(ROOT)) for p in ROOT.glob("src/*/README.md")))
 """Documents outside of docs/ that are pages of the site."""
 _LINK = re.compile(r"(!?)\[((?:[^\[\]]|\[[^\]]*\])*)\]\(([^)\s]+)\)")
-_CODE = re.compile(r"(```.*?^ *```|`[^`\n]*`)", re.DOTALL | re.MULTILINE)
+_BLOCK = re.compile(r"(^ *```.*?^ *```)", re.DOTALL | re.MULTILINE)
 
 
 def rooms() -> dict[str, list[str]]:
@@ -58,7 +58,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     files.append(File.generated(config, SHIM, abs_src_path=str(Path(__file__).with_name("iframe-worker.js"))))
     linked = set(PAGES)
     for page in [*(ROOT / "docs").rglob("*.md"), *(ROOT / name for name in PAGES)]:
-        for part in _CODE.split(page.read_text(encoding="utf-8"))[::2]:
+        for part in _BLOCK.split(page.read_text(encoding="utf-8"))[::2]:
             for _, _, target in _LINK.findall(part):
                 path = _project_path(page, target.partition("#")[0])
                 if path is not None and not path.startswith("docs/") and (ROOT / path).is_file():
@@ -88,7 +88,7 @@ def on_page_markdown(markdown: str, page: Page, **_: Any) -> str:
         target = posixpath.relpath(inside, posixpath.dirname(uri) or ".")
         return f"{match[1]}[{match[2]}]({target}{'#' + anchor if anchor else ''})"
 
-    parts = _CODE.split(markdown)
+    parts = _BLOCK.split(markdown)
     return "".join(part if index % 2 else _LINK.sub(replaced, part) for index, part in enumerate(parts))
 
 
