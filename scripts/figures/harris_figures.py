@@ -218,8 +218,8 @@ def draw_edges(out: Path) -> None:
     picture = np.rint(60.0 + (chart() - 60.0) * fading).clip(0, 255).astype(np.uint8)
     figure, axes = plt.subplots(1, 4, figsize=(13, 3))
     show(axes[0], picture, "contrast falls to the right", vmin=0, vmax=255)
-    for axis, low, name in ((axes[1], 1.0, "high only"), (axes[2], 0.3, "high and low: hysteresis")):
-        edges = CombinedDetector(CONFIG, TracingConfig(high=20.0, low_of_high=low)).detect(picture)[1]
+    for axis, low, name in ((axes[1], 1.0, "high only"), (axes[2], 0.4, "high and low: hysteresis")):
+        edges = CombinedDetector(CONFIG, TracingConfig(high=13.0, low_of_high=low)).detect(picture)[1]
         show(axis, edges.labels == EDGE, name)
     colours = np.full((*edges.labels.shape, 3), 235, np.uint8)
     colours[edges.labels == EDGE] = (9, 105, 218)
