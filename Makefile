@@ -15,7 +15,7 @@ help: ## this list
 
 demo: ## set up and run the whole robot on the simulated bench; Ctrl-C ends it, VERBOSE=1 prints everything
 	@scripts/setup.sh
-	@exec $(INSTALL)/scope_bench/lib/scope_bench/bring_up --profile bench --prepare $(if $(VERBOSE),--verbose)
+	@exec $(INSTALL)/icu_bringup/lib/icu_bringup/bring_up --profile bench --prepare $(if $(VERBOSE),--verbose)
 
 # Three tiers, each with all of the one before: test-quick, test, test-all. A test's folder and marker (pyproject.toml)
 # say to which it belongs. Three at a time on two cores: the tests of nodes wait for much of their time. Tests that

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from scope_bench.core.configuration import MechanicsConfig
-from scope_bench.core.mechanics import draw_errors
+from icu_simulator.core.configuration import MechanicsConfig
+from icu_simulator.core.mechanics import draw_errors
 
 pytestmark = [pytest.mark.system, pytest.mark.alone, pytest.mark.timeout(600)]
 
