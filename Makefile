@@ -53,6 +53,7 @@ check: ## lint, formatting, types and import contracts
 	@if [ "$${ROS_DISTRO:-}" = jazzy ]; then echo "types: checked without Jazzy only, Ubuntu's OpenCV and numpy 1 have no such stubs"; \
 		else $(VENV)/mypy -n 2 || { echo "once more in one process (on a busy computer workers start too late)"; $(VENV)/mypy; }; fi
 	@PYTHONPATH=$$(echo src/*/ | tr ' ' ':') $(VENV)/lint-imports --no-cache
+	@$(VENV)/python scripts/checks/commit_subjects.py
 
 bench: ## measure every speed claim against a peer; results in benchmarks/out/
 	@scripts/setup.sh dev
@@ -60,7 +61,7 @@ bench: ## measure every speed claim against a peer; results in benchmarks/out/
 		echo "== $$file"; $(VENV)/python $$file || exit 1; done
 
 # Without the tests of the mock board and the controller, which the guard does not run.
-COVER_TESTS := tests/unit/gantry_driver $(addprefix --ignore=tests/unit/gantry_driver/,mock goals motion sight contact)
+COVER_TESTS := tests/unit/gantry_driver $(addprefix --ignore=tests/unit/gantry_driver/,acceptance mock goals motion sight contact)
 cover: ## branch coverage of the guard by its tests without ROS: fails below 100 %
 	@scripts/setup.sh dev
 	@mkdir -p artifacts/coverage && $(VENV)/coverage erase
