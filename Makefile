@@ -8,7 +8,7 @@ unexport PYTHONDONTWRITEBYTECODE
 VENV := .venv/bin
 INSTALL := ros2_ws/install
 
-.PHONY: help demo test test-quick test-all test-rest test-long check bench campaign damage matrix noise effects golden interfaces soak story docs setup clean picture animation figures cover mutants
+.PHONY: help demo test test-quick test-all test-rest test-long check bench campaign damage matrix noise effects golden interfaces soak story docs setup clean picture animation figures release-check cover mutants
 
 help: ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -136,6 +136,10 @@ animation: ## record the README's press from a running demo, ADDRESS='http://127
 figures: ## draw the figures of the documents from the configuration and the detector
 	@scripts/setup.sh dev
 	@for file in scripts/figures/*.py; do PYTHONPATH=$$(echo src/*/ | tr ' ' ':') $(VENV)/python $$file || exit 1; done
+
+release-check: ## build the packages, install them into an empty environment, check programs, metadata and licences
+	@scripts/setup.sh release
+	@$(VENV)/python scripts/release/check.py
 
 setup: ## only set up
 	@scripts/setup.sh dev

@@ -41,5 +41,5 @@ def test_demo_does_not_install_the_generator() -> None:
         assert "mkdocs" not in (ROOT / name).read_text()
     setup = (ROOT / "scripts" / "setup.sh").read_text()
     assert re.findall(r"^.*requirements-docs.*$", setup, re.MULTILINE) == [
-        'if [ "$want" = docs ]; then wait_for install requirements-docs.txt "generator of the documents\' site"; fi'
+        '  docs) wait_for install requirements-docs.txt "generator of the documents\' site" ;;'
     ]
