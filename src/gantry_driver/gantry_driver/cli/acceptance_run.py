@@ -15,13 +15,13 @@ from sensor_msgs.msg import CameraInfo, Image, JointState
 from std_msgs.msg import Float64MultiArray
 from visualization_msgs.msg import MarkerArray
 
+from gantry_driver.acceptance.axes_fit import fit_axes
+from gantry_driver.acceptance.coverage import along_outline, mask_of, view_of
+from gantry_driver.acceptance.measured import Beyond, CameraSeen, Measured, Touch, Visit
+from gantry_driver.acceptance.sharpness import edge_blur_px
+from gantry_driver.acceptance.stops import beyond, plan_stops
+from gantry_driver.acceptance.touch_points import choose_points
 from gantry_driver.cli.operator_session import OperatorSession, say
-from gantry_driver.core.acceptance.axes_fit import fit_axes
-from gantry_driver.core.acceptance.coverage import along_outline, mask_of, view_of
-from gantry_driver.core.acceptance.measured import Beyond, CameraSeen, Measured, Touch, Visit
-from gantry_driver.core.acceptance.sharpness import edge_blur_px
-from gantry_driver.core.acceptance.stops import beyond, plan_stops
-from gantry_driver.core.acceptance.touch_points import choose_points
 from gantry_driver.core.job.goal_job import WORKING
 from icu_common.core.geometry.camera_model import StereoModel
 from icu_common.core.geometry.frames import BASE, JOINT_X, JOINT_Y, PANEL

@@ -14,6 +14,10 @@ from pathlib import Path
 
 import cv2
 
+from gantry_driver.acceptance.checks import all_checks
+from gantry_driver.acceptance.limits import AcceptanceLimits, limits_of
+from gantry_driver.acceptance.plots import marked_image
+from gantry_driver.acceptance.report import as_html, as_json, line, passed
 from gantry_driver.cli.acceptance_run import AcceptanceRun, NotPossible
 from gantry_driver.cli.operator_session import (
     FAILED,
@@ -26,10 +30,6 @@ from gantry_driver.cli.operator_session import (
     operator_session,
     say,
 )
-from gantry_driver.core.acceptance.checks import all_checks
-from gantry_driver.core.acceptance.limits import AcceptanceLimits, limits_of
-from gantry_driver.core.acceptance.plots import marked_image
-from gantry_driver.core.acceptance.report import as_html, as_json, line, passed
 from icu_common.adapters.processes.program_end import ends_quietly
 from icu_common.core.configuration.config import ConfigError, settings_of
 from icu_common.core.configuration.option_bounds import check_bounds, named_path

@@ -8,8 +8,8 @@ import math
 import numpy as np
 import pytest
 
-from gantry_driver.core.acceptance.axes_fit import AxesFit, fit_axes
-from gantry_driver.core.acceptance.stops import BEYOND_M, beyond, plan_stops
+from gantry_driver.acceptance.axes_fit import AxesFit, fit_axes
+from gantry_driver.acceptance.stops import BEYOND_M, beyond, plan_stops
 
 LOW, HIGH = np.array([0.0, 0.0]), np.array([0.359, 0.219])
 

@@ -9,9 +9,9 @@ import cv2
 import numpy as np
 import pytest
 
-from gantry_driver.core.acceptance.coverage import along_outline, mask_of, view_of
-from gantry_driver.core.acceptance.sharpness import edge_blur_px
-from gantry_driver.core.acceptance.touch_points import EDGE_M, TALL_EDGE_M, choose_points
+from gantry_driver.acceptance.coverage import along_outline, mask_of, view_of
+from gantry_driver.acceptance.sharpness import edge_blur_px
+from gantry_driver.acceptance.touch_points import EDGE_M, TALL_EDGE_M, choose_points
 from icu_common.core.panel.panel_layout import load_layout
 
 ROOT = Path(__file__).resolve().parents[4]

@@ -9,15 +9,15 @@ import xml.etree.ElementTree as ET
 import numpy as np
 import pytest
 
+from gantry_driver.acceptance.axes_fit import fit_axes
+from gantry_driver.acceptance.checks import all_checks
+from gantry_driver.acceptance.coverage import View
+from gantry_driver.acceptance.limits import AcceptanceLimits, limits_of
+from gantry_driver.acceptance.measured import Beyond, CameraSeen, Measured, Touch, Visit
+from gantry_driver.acceptance.plots import axes_plot, marked_image, touch_plot
+from gantry_driver.acceptance.report import as_html, as_json, line, passed
+from gantry_driver.acceptance.stops import beyond, plan_stops
 from gantry_driver.cli.gantry_accept import parse
-from gantry_driver.core.acceptance.axes_fit import fit_axes
-from gantry_driver.core.acceptance.checks import all_checks
-from gantry_driver.core.acceptance.coverage import View
-from gantry_driver.core.acceptance.limits import AcceptanceLimits, limits_of
-from gantry_driver.core.acceptance.measured import Beyond, CameraSeen, Measured, Touch, Visit
-from gantry_driver.core.acceptance.plots import axes_plot, marked_image, touch_plot
-from gantry_driver.core.acceptance.report import as_html, as_json, line, passed
-from gantry_driver.core.acceptance.stops import beyond, plan_stops
 from icu_common.core.configuration.config import ConfigError
 
 LOW, HIGH = np.array([0.0, 0.0]), np.array([0.359, 0.219])

@@ -9,10 +9,10 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-from gantry_driver.core.acceptance.checks import Check
-from gantry_driver.core.acceptance.limits import AcceptanceLimits
-from gantry_driver.core.acceptance.measured import Measured
-from gantry_driver.core.acceptance.plots import axes_plot, touch_plot
+from gantry_driver.acceptance.checks import Check
+from gantry_driver.acceptance.limits import AcceptanceLimits
+from gantry_driver.acceptance.measured import Measured
+from gantry_driver.acceptance.plots import axes_plot, touch_plot
 
 BY_HAND = (
     "Press the emergency stop while the stage moves: the motors lose their supply and the board needs homing.",

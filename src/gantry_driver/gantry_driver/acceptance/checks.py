@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gantry_driver.core.acceptance.limits import AcceptanceLimits
-from gantry_driver.core.acceptance.measured import Measured
+from gantry_driver.acceptance.limits import AcceptanceLimits
+from gantry_driver.acceptance.measured import Measured
 
 AXES = ("x", "y")
 

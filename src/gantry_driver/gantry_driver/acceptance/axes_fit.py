@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gantry_driver.core.acceptance.stops import Stop
+from gantry_driver.acceptance.stops import Stop
 from icu_common.core.geometry.geometry import Array
 
 UNKNOWNS = 5

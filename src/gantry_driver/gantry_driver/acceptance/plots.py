@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from gantry_driver.core.acceptance.measured import CameraSeen, Measured, Touch
+from gantry_driver.acceptance.measured import CameraSeen, Measured, Touch
 from icu_common.core.geometry.geometry import Array
 
 _WIDTH = 640.0

@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from gantry_driver.core.acceptance.axes_fit import AxesFit
-from gantry_driver.core.acceptance.coverage import View
-from gantry_driver.core.acceptance.stops import Stop
+from gantry_driver.acceptance.axes_fit import AxesFit
+from gantry_driver.acceptance.coverage import View
+from gantry_driver.acceptance.stops import Stop
 from icu_common.core.geometry.geometry import Array
 
 
