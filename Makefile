@@ -8,7 +8,7 @@ unexport PYTHONDONTWRITEBYTECODE
 VENV := .venv/bin
 INSTALL := ros2_ws/install
 
-.PHONY: help demo test test-quick test-all test-rest test-long check bench campaign damage matrix noise effects golden interfaces soak story docs setup clean picture animation cover mutants
+.PHONY: help demo test test-quick test-all test-rest test-long check bench campaign damage matrix noise effects golden interfaces soak story docs setup clean picture animation figures release-check cover mutants
 
 help: ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -48,11 +48,12 @@ test-long:
 
 check: ## lint, formatting, types and import contracts
 	@scripts/setup.sh dev
-	@$(VENV)/ruff check src tests benchmarks && $(VENV)/ruff format --check --quiet src tests benchmarks || \
-		{ echo "formatting differs; mend it with: .venv/bin/ruff format src tests benchmarks"; exit 1; }
+	@$(VENV)/ruff check src tests benchmarks scripts && $(VENV)/ruff format --check --quiet src tests benchmarks scripts || \
+		{ echo "formatting differs; mend it with: .venv/bin/ruff format src tests benchmarks scripts"; exit 1; }
 	@if [ "$${ROS_DISTRO:-}" = jazzy ]; then echo "types: checked without Jazzy only, Ubuntu's OpenCV and numpy 1 have no such stubs"; \
 		else $(VENV)/mypy -n 2 || { echo "once more in one process (on a busy computer workers start too late)"; $(VENV)/mypy; }; fi
 	@PYTHONPATH=$$(echo src/*/ | tr ' ' ':') $(VENV)/lint-imports --no-cache
+	@$(VENV)/python scripts/checks/commit_subjects.py
 
 bench: ## measure every speed claim against a peer; results in benchmarks/out/
 	@scripts/setup.sh dev
@@ -60,7 +61,7 @@ bench: ## measure every speed claim against a peer; results in benchmarks/out/
 		echo "== $$file"; $(VENV)/python $$file || exit 1; done
 
 # Without the tests of the mock board and the controller, which the guard does not run.
-COVER_TESTS := tests/unit/gantry_driver $(addprefix --ignore=tests/unit/gantry_driver/,mock goals motion sight contact)
+COVER_TESTS := tests/unit/gantry_driver $(addprefix --ignore=tests/unit/gantry_driver/,acceptance mock goals motion sight contact)
 cover: ## branch coverage of the guard by its tests without ROS: fails below 100 %
 	@scripts/setup.sh dev
 	@mkdir -p artifacts/coverage && $(VENV)/coverage erase
@@ -117,10 +118,10 @@ interfaces: ## write topics, services and parameters of every node anew, with wh
 	@scripts/setup.sh dev
 	@RENEW_INTERFACES=1 $(VENV)/python -m pytest -q tests/system/graph/test_interfaces.py
 
-docs: ## API documentation in artifacts/api; a warning is an error
-	@scripts/setup.sh dev
-	@$(VENV)/python -W error -W ignore::DeprecationWarning -m pdoc --docformat numpy --output-directory artifacts/api \
-		icu_common harris_perception gantry_driver scope_ui_bridge icu_simulator icu_bringup
+docs: ## the site of the documents with the API pages in artifacts/site; a broken link or a missing page is an error
+	@scripts/setup.sh docs
+	@set -o pipefail; NO_MKDOCS_2_WARNING=1 $(VENV)/mkdocs build --strict 2>&1 | { grep -v ^INFO || true; }
+	@echo "open artifacts/site/index.html"
 
 story: ## a new user's whole way at the page on the whole graph; pictures in artifacts/story
 	@scripts/setup.sh dev
@@ -131,6 +132,14 @@ picture: story ## make the picture of the operator page again
 
 animation: ## record the README's press from a running demo, ADDRESS='http://127.0.0.1:8080/?token=...'
 	@PYTHONPATH=tests:$$(echo src/*/ | tr ' ' ':') $(VENV)/python -m press_picture '$(ADDRESS)' -o docs/press.webp
+
+figures: ## draw the figures of the documents from the configuration and the detector
+	@scripts/setup.sh dev
+	@for file in scripts/figures/*.py; do PYTHONPATH=$$(echo src/*/ | tr ' ' ':') $(VENV)/python $$file || exit 1; done
+
+release-check: ## build the packages, install them into an empty environment, check programs, metadata and licences
+	@scripts/setup.sh release
+	@$(VENV)/python scripts/release/check.py
 
 setup: ## only set up
 	@scripts/setup.sh dev

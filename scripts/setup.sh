@@ -4,6 +4,8 @@
 #
 #   scripts/setup.sh        what the graph needs
 #   scripts/setup.sh dev    and what tests, checks and benchmarks need
+#   scripts/setup.sh docs   what the graph needs, and the generator of the documents' site
+#   scripts/setup.sh release   what tests need, and the tools that check a release
 set -euo pipefail
 cd "$(dirname "$0")/.."
 root=$PWD
@@ -11,7 +13,7 @@ want=${1:-run}
 python=${PYTHON:-python3}
 venv=$root/.venv
 needed_mb=1000
-[ "$want" = dev ] && needed_mb=1500
+[ "$want" = run ] || needed_mb=1500
 
 # On a terminal one line shows what is being done; elsewhere each step is a line, without control codes.
 terminal=no
@@ -195,7 +197,11 @@ fi
 kernels=$(find src/harris_perception/harris_perception/core -name '*.py' | sort | xargs cat | sha256sum)
 if [ ! -f "$venv/.compiled" ] || [ "$(cat "$venv/.compiled")" != "$kernels" ]; then meanwhile compile; fi
 if [ $jazzy = no ]; then wait_for install requirements.txt "rclpy and Fast DDS (with the others about 400 MB, a minute or so)"; fi
-if [ "$want" = dev ]; then meanwhile install requirements-dev.txt "tools for tests and checks, meanwhile" quiet; fi
+if [ "$want" = dev ] || [ "$want" = release ]; then meanwhile install requirements-dev.txt "tools for tests and checks, meanwhile" quiet; fi
+case $want in
+  docs) wait_for install requirements-docs.txt "generator of the documents' site" ;;
+  release) wait_for install requirements-release.txt "tools that check a release" ;;
+esac
 
 # colcon only sees an environment made by local_setup files; this one lets it find the wheels' messages.
 if [ $jazzy = no ]; then

@@ -1,18 +1,20 @@
 """Build file of the package; see package.xml for what it is."""
 
 from pathlib import Path
+from xml.etree import ElementTree
 
 from setuptools import find_packages, setup
 
 NAME = "gantry_driver"
-LIBRARIES = ["numpy", "pyserial", "PyYAML"]
+VERSION = ElementTree.parse(Path(__file__).resolve().with_name("package.xml")).findtext("version")
+LIBRARIES = ["numpy", "opencv-python-headless", "pyserial", "PyYAML"]
 COMMON = Path(__file__).resolve().parents[1] / "icu_common"
 # In the project's folder pip installs all that is needed. A package on its own names nothing: rosdep has other names.
 NEEDED = [f"icu_common[libraries] @ {COMMON.as_uri()}", *LIBRARIES] if COMMON.is_dir() else []
 
 setup(
     name=NAME,
-    version="0.1.0",
+    version=VERSION,
     packages=find_packages(),
     package_data={NAME: ["py.typed", "**/*.xml", "**/*.html", "**/*.css", "**/*.js", "**/*.svg"]},
     data_files=[
@@ -38,6 +40,7 @@ setup(
             "gantry_gcode = gantry_driver.cli.gantry_gcode:main",
             "gantry_monitor = gantry_driver.cli.gantry_monitor:main",
             "gantry_prepare = gantry_driver.cli.gantry_prepare:main",
+            "gantry_accept = gantry_driver.cli.gantry_accept:main",
         ],
     },
 )

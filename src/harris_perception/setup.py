@@ -1,10 +1,12 @@
 """Build file of the package; see package.xml for what it is."""
 
 from pathlib import Path
+from xml.etree import ElementTree
 
 from setuptools import find_packages, setup
 
 NAME = "harris_perception"
+VERSION = ElementTree.parse(Path(__file__).resolve().with_name("package.xml")).findtext("version")
 LIBRARIES = ["numpy", "opencv-python-headless", "PyYAML", "numba"]
 COMMON = Path(__file__).resolve().parents[1] / "icu_common"
 # In the project's folder pip installs all that is needed. A package on its own names nothing: rosdep has other names.
@@ -12,7 +14,7 @@ NEEDED = [f"icu_common[libraries] @ {COMMON.as_uri()}", *LIBRARIES] if COMMON.is
 
 setup(
     name=NAME,
-    version="0.1.0",
+    version=VERSION,
     packages=find_packages(),
     package_data={NAME: ["py.typed", "**/*.xml", "**/*.html", "**/*.css", "**/*.js", "**/*.svg"]},
     data_files=[

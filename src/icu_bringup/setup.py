@@ -1,15 +1,18 @@
 """Build file of the package; see package.xml for what it is."""
 
 from glob import glob
+from pathlib import Path
+from xml.etree import ElementTree
 
 from setuptools import find_packages, setup
 
 NAME = "icu_bringup"
+VERSION = ElementTree.parse(Path(__file__).resolve().with_name("package.xml")).findtext("version")
 FOLDERS = ("launch", "config", "config/params", "config/cameras", "config/rooms", "config/scopes", "config/sequences")
 
 setup(
     name=NAME,
-    version="0.1.0",
+    version=VERSION,
     packages=find_packages(),
     package_data={NAME: ["py.typed", "**/*.xml", "**/*.html", "**/*.css", "**/*.js", "**/*.svg"]},
     data_files=[

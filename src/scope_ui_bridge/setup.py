@@ -1,12 +1,16 @@
 """Build file of the package; see package.xml for what it is."""
 
+from pathlib import Path
+from xml.etree import ElementTree
+
 from setuptools import find_packages, setup
 
 NAME = "scope_ui_bridge"
+VERSION = ElementTree.parse(Path(__file__).resolve().with_name("package.xml")).findtext("version")
 
 setup(
     name=NAME,
-    version="0.1.0",
+    version=VERSION,
     packages=find_packages(),
     package_data={NAME: ["py.typed", "**/*.xml", "**/*.html", "**/*.css", "**/*.js", "**/*.svg"]},
     data_files=[

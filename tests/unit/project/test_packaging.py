@@ -111,7 +111,7 @@ def test_setup_py_says_the_same(package: Path, monkeypatch: pytest.MonkeyPatch) 
         module, _, function = entry.partition("=")[2].strip().partition(":")
         tree = ast.parse((package / (module.replace(".", "/") + ".py")).read_text())
         assert function in {n.name for n in tree.body if isinstance(n, ast.FunctionDef)}, entry
-    assert f"## {description.version}" in (ROOT / "CHANGELOG.md").read_text()
+    assert f"\n## [{description.version}] - 20" in (ROOT / "CHANGELOG.md").read_text()
     if "libraries" in given.get("extras_require", {}):  # what pip brings where there is no rosdep
         keys = {d.name for d in description.exec_depends} & set(SYSTEM_KEYS)
         assert {BY_NAME[name] for name in given["extras_require"]["libraries"]} == {SYSTEM_KEYS[key] for key in keys}

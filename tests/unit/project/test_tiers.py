@@ -81,4 +81,4 @@ def test_tests_of_the_system_and_long_ones_of_nodes_run_alone_and_only_unit_test
 def test_all_is_test_and_the_rest_and_continuous_integration_runs_both() -> None:
     assert re.search(r"^test-all: test test-rest\b", MAKEFILE, re.MULTILINE)
     assert re.search(r"^test-rest: test-long\b", MAKEFILE, re.MULTILINE)
-    assert re.findall(r"^make .*", (ROOT / ".ci" / "run").read_text(), re.MULTILINE) == ["make test", "make test-long"]
+    assert re.findall(r"^tier (\S+)$", (ROOT / ".ci" / "run").read_text(), re.MULTILINE) == ["test", "test-long"]

@@ -16,11 +16,13 @@ import yaml
 
 from harris_perception.adapters.camera_sources import SourceError, picture_files
 from harris_perception.adapters.picture_files import read_sensor_gray, write_picture
-from harris_perception.core.cameras.board import PAPERS_MM, Board, board_pdf, board_svg
+from harris_perception.cli.marker_sheets import add_markers
+from harris_perception.core.cameras.board import Board, board_pdf, board_svg
 from harris_perception.core.cameras.board_detection import BoardDetector, BoardView, size_shown
 from harris_perception.core.cameras.calibration_config import INTRINSICS, CalibrationConfig
 from harris_perception.core.cameras.camera_calibration import CameraCalibration, calibrate_camera
 from harris_perception.core.cameras.pair_calibration import PairCalibration, calibrate_stereo
+from harris_perception.core.cameras.print_page import PAPERS_MM
 from harris_perception.core.cameras.residual_picture import residual_picture
 from harris_perception.core.cameras.view_coverage import CalibrationError, coverage
 from harris_perception.core.cameras.view_errors import ViewError
@@ -333,6 +335,7 @@ def _parser() -> argparse.ArgumentParser:
     draw.add_argument("--paper", choices=("fit", *PAPERS_MM), default="fit", help="sheet (default: fits the board)")
     _add_board(draw)
     draw.set_defaults(run=draw_board)
+    add_markers(commands)
 
     one = commands.add_parser("mono", help="calibrate one camera")
     one.add_argument("pictures", type=named_path, help="folder, or pattern in quotes: 'folder/left*.png'")

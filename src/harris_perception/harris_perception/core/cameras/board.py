@@ -1,28 +1,21 @@
-"""Calibration boards: their content, and drawings in true size as SVG and PDF.
-
-Both formats are written directly: a board consists of rectangles and two lines of text, and its size on paper must not
-depend on a drawing library's resolution.
-"""
+"""Calibration boards: their content, and drawings in true size as SVG and PDF."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
+from harris_perception.core.cameras.print_page import BORDER_MM, PAPERS_MM, RULER_MM, Rectangle, Sheet, pdf, svg
 from icu_common.core.configuration.config import Config, ConfigError, setting
 from icu_common.core.geometry import fiducial
 from icu_common.core.geometry.geometry import Array
 
 KINDS = ("chessboard", "charuco")
-PAPERS_MM = {"a4": (297.0, 210.0), "a3": (420.0, 297.0), "letter": (279.4, 215.9)}
-RULER_MM = 100.0
-_BORDER_MM = 13.0
-_POINTS_PER_MM = 72 / 25.4
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -89,16 +82,6 @@ class Board(Config):
         return np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)]) * self.square_m
 
 
-class Rectangle(NamedTuple):
-    """One filled rectangle in metres, relative to the upper left corner of the squares, y down."""
-
-    x: float
-    y: float
-    width: float
-    height: float
-    black: bool
-
-
 def aruco_dictionary(name: str) -> Any:
     """Return OpenCV's marker dictionary of that name."""
     return fiducial.dictionary(name)
@@ -131,101 +114,46 @@ def rectangles(board: Board) -> Iterator[Rectangle]:
                 number += 1
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Sheet:
-    """A sheet of paper, in mm, and the origin of the squares on it."""
-
-    width: float
-    height: float
-    left: float
-    top: float
-    notes: tuple[str, str]
-
-
-def _sheet(board: Board, paper: str) -> _Sheet:
+def _sheet(board: Board, paper: str) -> Sheet:
     width, height = (v * 1e3 for v in board.size_m)
     if paper == "fit":
-        border = max(board.square_m * 1e3, _BORDER_MM)
+        border = max(board.square_m * 1e3, BORDER_MM)
         page = (max(width, RULER_MM) + 2 * border, height + 2 * border)
     elif paper in PAPERS_MM:
         page = PAPERS_MM[paper] if width >= height else PAPERS_MM[paper][::-1]
     else:
         raise ValueError(f"paper {paper!r} is none of fit, {', '.join(PAPERS_MM)}")
     room = min(page[0] - width, page[1] - height) / 2
-    if room < _BORDER_MM or page[0] < RULER_MM + 2 * _BORDER_MM:
+    if room < BORDER_MM or page[0] < RULER_MM + 2 * BORDER_MM:
         raise ValueError(
             f"the board is {width:g} x {height:g} mm, the paper {paper} {page[0]:g} x {page[1]:g} mm: a white border "
-            f"of {_BORDER_MM:g} mm on each side is needed; choose smaller squares or a larger paper"
+            f"of {BORDER_MM:g} mm on each side is needed; choose smaller squares or a larger paper"
         )
     notes = (
         board.title,
         f"print at 100 %, no scaling; this line must be {RULER_MM:g} mm long; glue the sheet to a flat plate",
     )
-    return _Sheet(width=page[0], height=page[1], left=(page[0] - width) / 2, top=(page[1] - height) / 2, notes=notes)
+    left, top = (page[0] - width) / 2, (page[1] - height) / 2
+    return Sheet(width=page[0], height=page[1], left=left, top=top, notes=notes, rectangles=tuple(rectangles(board)))
 
 
 def board_svg(board: Board, paper: str = "fit") -> str:
-    """Return an SVG document; one user unit is one millimetre.
+    """Return an SVG document of the board in true size.
 
     Raises
     ------
     ValueError
         If the paper is unknown or too small.
     """
-    sheet = _sheet(board, paper)
-    w, h = f"{sheet.width:.4f}", f"{sheet.height:.4f}"
-    lines = [
-        '<?xml version="1.0" encoding="UTF-8"?>',
-        f'<svg xmlns="http://www.w3.org/2000/svg" width="{w}mm" height="{h}mm" viewBox="0 0 {w} {h}">',
-        f"<title>{sheet.notes[0]}</title>",
-        f'<rect width="{w}" height="{h}" fill="#fff"/>',
-    ]
-    for part in rectangles(board):
-        x, y = part.x * 1e3 + sheet.left, part.y * 1e3 + sheet.top
-        size = f'width="{part.width * 1e3:.5f}" height="{part.height * 1e3:.5f}"'
-        lines.append(f'<rect x="{x:.5f}" y="{y:.5f}" {size} fill="{"#000" if part.black else "#fff"}"/>')
-    base = sheet.height - 8.5
-    text = '<text x="{:g}" y="{:.4f}" font-family="Helvetica, Arial, sans-serif" font-size="2.6">{}</text>'
-    lines.append(f'<rect x="{_BORDER_MM:g}" y="{base:.4f}" width="{RULER_MM:g}" height="0.3" fill="#000"/>')
-    lines += [text.format(_BORDER_MM, base + 3.2 * (i + 1), note) for i, note in enumerate(sheet.notes)]
-    return "\n".join([*lines, "</svg>", ""])
+    return svg(_sheet(board, paper))
 
 
 def board_pdf(board: Board, paper: str = "fit") -> bytes:
-    """Return a PDF document of one page (ISO 32000-1; 72 points are an inch, y points up).
+    """Return a PDF document of the board in true size.
 
     Raises
     ------
     ValueError
         If the paper is unknown or too small.
     """
-    sheet = _sheet(board, paper)
-    content = [f"{_POINTS_PER_MM:.8f} 0 0 {_POINTS_PER_MM:.8f} 0 0 cm"]
-    for part in rectangles(board):
-        x, y = part.x * 1e3 + sheet.left, sheet.height - sheet.top - (part.y + part.height) * 1e3
-        size = f"{part.width * 1e3:.5f} {part.height * 1e3:.5f}"
-        content.append(f"{0 if part.black else 1} g {x:.5f} {y:.5f} {size} re f")
-    content.append(f"0 g {_BORDER_MM:g} 8.2 {RULER_MM:g} 0.3 re f")
-    for i, note in enumerate(sheet.notes):
-        content.append(f"BT /F1 2.6 Tf {_BORDER_MM:g} {8.5 - 3.2 * (i + 1):.4f} Td ({note}) Tj ET")
-    stream = "\n".join(content).encode("ascii")
-    box = f"0 0 {sheet.width * _POINTS_PER_MM:.5f} {sheet.height * _POINTS_PER_MM:.5f}"
-    objects = [
-        b"<< /Type /Catalog /Pages 2 0 R /ViewerPreferences << /PrintScaling /None >> >>",
-        b"<< /Type /Pages /Kids [3 0 R] /Count 1 >>",
-        f"<< /Type /Page /Parent 2 0 R /MediaBox [{box}] /Contents 4 0 R "
-        "/Resources << /Font << /F1 5 0 R >> >> >>".encode(),
-        b"<< /Length %d >>\nstream\n%s\nendstream" % (len(stream), stream),
-        b"<< /Type /Font /Subtype /Type1 /BaseFont /Helvetica >>",
-    ]
-    document, places = b"%PDF-1.6\n", []
-    for number, body in enumerate(objects, start=1):
-        places.append(len(document))
-        document += b"%d 0 obj\n%s\nendobj\n" % (number, body)
-    table = b"".join(b"%010d 00000 n \n" % place for place in places)
-    count, start = len(objects) + 1, len(document)
-    return (
-        document
-        + b"xref\n0 %d\n0000000000 65535 f \n%s" % (count, table)
-        + b"trailer\n<< /Size %d /Root 1 0 R >>\nstartxref\n%d\n%%%%EOF\n" % (count, start)
-    )
+    return pdf(_sheet(board, paper))

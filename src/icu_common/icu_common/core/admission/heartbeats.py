@@ -12,7 +12,7 @@ from collections.abc import Collection
 
 from icu_common.core.admission.sources import base_name, rivals_text
 
-PROGRAMS = "ui_bridge gantry_goal gantry_sequence gantry_prepare"
+PROGRAMS = "ui_bridge gantry_goal gantry_sequence gantry_prepare gantry_accept"
 """Names of this project's nodes that send heartbeats: the default of the parameter ``heartbeat_programs``."""
 HEARD_S = 1.0
 """Seconds after its last heartbeat for which a program counts as a sender."""
