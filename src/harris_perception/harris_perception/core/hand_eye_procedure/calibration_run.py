@@ -20,6 +20,7 @@ from harris_perception.core.hand_eye_procedure.calibration_plan import RunConfig
 from harris_perception.core.hand_eye_procedure.calibration_solution import Failed, Finished, Samples
 from harris_perception.core.hand_eye_procedure.calibration_tour import SAMPLED, Purpose, Stop, seconds
 from harris_perception.core.hand_eye_procedure.lowering_check import LoweringCheck
+from harris_perception.core.hand_eye_procedure.pair_corrections import PairCorrections
 from harris_perception.core.hand_eye_procedure.panel_clearance import PanelClearance
 from harris_perception.core.hand_eye_procedure.still_watch import StillConfig
 from harris_perception.core.pose.planar_pose import FacePoints
@@ -102,7 +103,8 @@ class CalibrationRun:
         self._start_ns = self._deadline_ns = now_ns
         self._look: Look | None = None
         self._left: Look | None = None
-        self._samples = Samples(config, solver, cameras, contacts)
+        self._pair = PairCorrections(cameras)
+        self._samples = Samples(config, solver, cameras, contacts, self._pair)
         self._done = 0
         self._missed: list[str] = []
         self._clearance = PanelClearance(see_panel=self._see_panel)
@@ -120,6 +122,10 @@ class CalibrationRun:
     def driver_state(self, text: str) -> list[Action]:
         """Set the driver's state; any state other than idle and moving ends the run."""
         return [] if self.over or state_name(text) in _FINE else self._fail(f"the driver says {text!r}")
+
+    def pair(self, stamp_ns: int, rotation_rad: Array) -> None:
+        """Set the rotation (3,) rad of the right camera with which tips after ``stamp_ns`` are measured."""
+        self._pair.take(stamp_ns, rotation_rad)
 
     def reading(self, stamp_ns: int, reading: Array) -> None:
         """Add readings (3,) m."""
@@ -165,7 +171,7 @@ class CalibrationRun:
     def tip(self, stamp_ns: int, tip: Array | None, now_ns: int) -> list[Action]:
         """Add a sighting (3,) m in the camera's frame; None: the tip is not seen in that image."""
         for look in self._open():
-            look.tip(stamp_ns, tip)
+            look.tip(stamp_ns, None if tip is None else self._pair.neutral(stamp_ns, tip))
         return self._advance(now_ns)
 
     def panel(self, stamp_ns: int, camera_from_panel: Transform, points: FacePoints, now_ns: int) -> list[Action]:
@@ -217,9 +223,10 @@ class CalibrationRun:
             return self._miss(seen)
         stop = look.stop
         if seen.tip is not None:
-            if wrong := self._lowering.fault(stop, seen.tip.tip):
+            tip = self._pair.newest(seen.tip.tip)
+            if wrong := self._lowering.fault(stop, tip):
                 return self._fail(wrong)
-            self._clearance.measured(stop, look.camera_from_panel, seen.tip.tip)
+            self._clearance.measured(stop, look.camera_from_panel, tip)
         if stop.purpose is not Purpose.ABOVE:
             self._samples.keep(stop.purpose, seen)
             self._done += 1
