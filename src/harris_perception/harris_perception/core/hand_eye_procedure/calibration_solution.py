@@ -29,6 +29,8 @@ from icu_common.core.geometry.geometry import Array
 _EDGE = 1.4
 """Ratio of a tip's variance at the ends of the travel, where the backlash is measured, to that from the misfit at all
 positions: the most likely value for seeds 100 to 149 of the benchmark with fixed cameras."""
+_SCATTER = 3.0
+"""Maximum error at a held-out position, relative to the rms misfit of all samples, if that is above the limit."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -119,11 +121,12 @@ class Samples:
             errors = held_out_on_carriage(calibration, panels, self._cameras.left)
         else:
             errors = held_out_errors(calibration, tips)
-        if errors.max() > self._config.max_held_out_m:
+        # A single position of an ordinary webcam is as uncertain as the scatter of all of them.
+        limit_m = max(self._config.max_held_out_m, _SCATTER * calibration.fit.rms_m)
+        if errors.max() > limit_m:
             what = "panel" if self._see_panel else "tip"
             return Failed(
-                f"at a held-out place the {what} was {errors.max() * 1e3:.2f} mm off, "
-                f"{self._config.max_held_out_m * 1e3:.2f} mm are accepted"
+                f"at a held-out place the {what} was {errors.max() * 1e3:.2f} mm off, {limit_m * 1e3:.2f} mm are accepted"
             )
         whole = self.solve(Purpose.CHECK)
         if isinstance(whole, HandEye):
