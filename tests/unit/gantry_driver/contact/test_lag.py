@@ -99,9 +99,7 @@ def test_the_error_of_a_look_at_another_control_is_no_finding() -> None:
     for _ in range(40):
         memory = HeightMemory(CONFIG)
         offset_m = rng.normal(0.0, CONFIG.height.start_sigma_m)
-        findings += sum(
-            memory.looked(offset_m + rng.normal(0.0, 0.000154), 0.00005) is not None for _ in range(looks)
-        )
+        findings += sum(memory.looked(offset_m + rng.normal(0.0, 0.000154), 0.00005) is not None for _ in range(looks))
     print(f"seed {SEED}: {findings} findings in {40 * looks} looks")
     assert findings <= 0.005 * 40 * looks
 

@@ -148,9 +148,7 @@ def next_stops(
     return sets[_aims(config).best(known, sets, [seconds(at, stops) for stops in sets])]
 
 
-def rest_gain(
-    config: RunConfig, known: Array, visited: set[tuple[float, float]], *, see_tip: bool = True
-) -> float:
+def rest_gain(config: RunConfig, known: Array, visited: set[tuple[float, float]], *, see_tip: bool = True) -> float:
     """Return the share by which all positions that are left would reduce the predicted error; see ``next_stops``."""
     left = [stop for stops in _grid(config, see_tip) if (stops[0].x, stops[0].y) not in visited for stop in stops]
     if not left:

@@ -126,7 +126,8 @@ class Samples:
         if errors.max() > limit_m:
             what = "panel" if self._see_panel else "tip"
             return Failed(
-                f"at a held-out place the {what} was {errors.max() * 1e3:.2f} mm off, {limit_m * 1e3:.2f} mm are accepted"
+                f"at a held-out place the {what} was {errors.max() * 1e3:.2f} mm off, "
+                f"{limit_m * 1e3:.2f} mm are accepted"
             )
         whole = self.solve(Purpose.CHECK)
         if isinstance(whole, HandEye):
