@@ -45,7 +45,7 @@ def test_the_bench_of_the_graph_stands_in_the_named_room() -> None:
         return [p.stem for program in programs for p in program.parameter_files if p.parent.name == "rooms"]
 
     assert rooms("bench", "") == ["workshop"] and rooms("bench", "ideal") == ["ideal"]
-    assert rooms("test", "ward") == ["ward"]
+    assert rooms("test", "") == ["ideal"] and rooms("test", "ward") == ["ward"]
     assert rooms("carriage", "") == rooms("carriage_test", "") == ["ideal"], "a profile's own room"
     assert rooms("carriage", "workshop") == ["workshop"]
     assert rooms("hardware", "") == rooms("replay", "") == []
