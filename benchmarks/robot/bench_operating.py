@@ -1,7 +1,8 @@
 """Measure touches and knobs on the simulated bench over several seeds of mechanical errors, against the physical truth.
 
 For each seed, a robot is prepared as in `make demo` (home, calibrate by the cameras, recognise). Then it touches named
-controls and free points in turn. The error is the distance of the ball's true centre from the target at first contact.
+controls and free points in turn. The error is the distance of the ball's true centre from the target at first contact:
+from the manufactured control's centre, or from the point as the print shows it.
 Everything runs on a virtual clock (see virtual_robot), so the times are the robot's and do not depend on this
 computer's load. There is no peer to run; the published reference is a camera-guided gantry of this kind.
 """
@@ -23,6 +24,7 @@ import numpy as np
 from gantry_driver.core.job.goal_job import LOOKING, Phase
 from icu_common.core.goals.results import Outcome
 from icu_common.core.panel.panel_layout import Control, PanelLayout
+from icu_simulator.manufacture.layout import print_offset_mm
 
 sys.path.append(str(Path(__file__).resolve().parents[1]))
 sys.path.append(str(Path(__file__).resolve().parents[2] / "tests"))
@@ -37,6 +39,10 @@ SPLIT = {
     "look": (Phase.LOOK, Phase.MEASURE),
     "touch": (Phase.TOUCH, Phase.CONTACT),
 }
+LIMITS_MM = {"ideal": (0.15, 0.3), "workshop": (0.15, 0.3), "ward": (0.25, 0.5)}
+"""Limits of the mean and of the 95 % quantile of the touch error in each room."""
+PRESSED = {"ideal": 98.0, "workshop": 98.0, "ward": 95.0}
+"""Minimum share of keys that act at the first try, percent."""
 KNOBS = {"knobs": "dso_bench_4", "dimple": "ventilator_v1"}
 """Layouts with knobs to set: by friction on their face, and by the ball in a dimple."""
 assert {Phase.LOOK, Phase.CONTACT, Phase.MEASURE} <= set(LOOKING)
@@ -75,14 +81,16 @@ def touches(seed: int, count: int, room: str) -> list[dict[str, Any]]:
     robot.prepare()
     layout, rng = robot.layout, np.random.default_rng(1000 + seed)
     named = [c for c in layout.controls if c.kind != "connector"]
+    printed = np.array(print_offset_mm(layout, robot.bench.layout))
     done = []
     for number in range(count):
         if number % 2:
-            control = named[int(rng.integers(len(named)))]
-            (x, y), name, text = control.position_mm, control.name, f"press:{control.name}"
+            name = named[int(rng.integers(len(named)))].name
+            true_mm, text = np.array(robot.bench.layout.control(name).position_mm), f"press:{name}"
         else:
             x, y = free_point(layout, rng)
-            name, text = meant(layout, x, y), f"press:{x / 1000!r},{y / 1000!r}@panel_link"
+            true_mm, text = (x, y) + printed, f"press:{x / 1000!r},{y / 1000!r}@panel_link"
+            name = meant(robot.bench.layout, *true_mm.tolist())
         if number % LOOK_EVERY == 0:
             robot.look_at_panel()
         robot.run_for(1.0)
@@ -96,6 +104,8 @@ def touches(seed: int, count: int, room: str) -> list[dict[str, Any]]:
         entry["touch"] = "" if result.touch is None else result.touch.value
         acted = any(r["event"] == "press" and r["control"] == name for r in records)
         key = any(c.name == name and c.kind == "button" for c in layout.controls)
+        if key and text.startswith("press:") and "@" not in text:
+            entry["acted"] = acted
         # A press without an effect visible to the cameras counts as a touch, but a claimed contact must be true.
         entry["false_claim"] = (entry["touch"] == "pressed" and key and not acted) or (
             entry["touch"] in ("pressed", "touched") and not contacts
@@ -103,12 +113,13 @@ def touches(seed: int, count: int, room: str) -> list[dict[str, Any]]:
         entry["wrong"] = [p for p in pressed if p != name]
         entry["collisions"] = [r["control"] for r in records if r["event"] == "collision"]
         if contacts:
-            tip = contacts[0]["tip_panel_mm"]
-            entry["error_mm"] = float(np.hypot(tip[0] - x, tip[1] - y))
+            entry["error_mm"] = float(np.hypot(*(np.array(contacts[0]["tip_panel_mm"][:2]) - true_mm)))
         if result.outcome is Outcome.REACHED:
             entry["reported_mm"] = 1000 * result.error_m
             entry["time_s"] = result.duration_s
-            entry |= {part: sum(robot.phases.get(p.value, 0.0) for p in phases) for part, phases in SPLIT.items()}
+            entry |= {
+                f"{part}_s": sum(robot.phases.get(p.value, 0.0) for p in phases) for part, phases in SPLIT.items()
+            }
         done.append(entry)
     return done
 
@@ -160,16 +171,17 @@ def knob_rows(flat: list[dict[str, Any]], how: str) -> list[Row]:
     ]
 
 
-def summary(seeds: Sequence[int], all_touches: list[list[dict[str, Any]]]) -> list[Row]:
+def summary(seeds: Sequence[int], all_touches: list[list[dict[str, Any]]], room: str) -> list[Row]:
     """Return the rows about touches."""
+    mean_mm, p95_mm = LIMITS_MM[room]
     flat = [t for of_seed in all_touches for t in of_seed]
     good = [t for t in flat if t["outcome"] == "reached"]
     errors = np.array([t["error_mm"] for t in flat if "error_mm" in t])
     rows = [
         bound(f"of {len(flat)} touches made and confirmed [%]", 100 * len(good) / len(flat), 99, at_least=True),
         row("touch error, mean [mm]", float(errors.mean()), REFERENCE_MM, "published camera-guided gantry"),
-        bound("touch error, mean [mm]", float(errors.mean()), 0.25),
-        bound("touch error, p95 [mm]", float(np.percentile(errors, 95)), 0.5),
+        bound("touch error, mean [mm]", float(errors.mean()), mean_mm),
+        bound("touch error, p95 [mm]", float(np.percentile(errors, 95)), p95_mm),
         bound("touch error, greatest [mm]", float(errors.max()), 1.0),
         bound("wrong controls touched", float(sum(bool(t["wrong"]) for t in flat)), 0),
         bound("false claims of a touch", float(sum(bool(t.get("false_claim")) for t in flat)), 0),
@@ -179,9 +191,11 @@ def summary(seeds: Sequence[int], all_touches: list[list[dict[str, Any]]]) -> li
     for seed, of_seed in zip(seeds, all_touches):
         own = np.array([t["error_mm"] for t in of_seed if "error_mm" in t])
         rows.append(bound(f"machine {seed}: greatest touch error [mm]", float(own.max()), 1.0))
-    for part in ("time_s", *SPLIT):
+    if keys := [t["acted"] for t in flat if "acted" in t]:
+        what = f"of {len(keys)} keys pressed at the first try [%]"
+        rows.append(bound(what, 100 * sum(keys) / len(keys), PRESSED[room], at_least=True))
+    for part, name in (("time_s", "a press"), *((f"{part}_s", f"a press: {part}") for part in SPLIT)):
         values = [t[part] for t in good]
-        name = "a press" if part == "time_s" else f"a press: {part}"
         for percentile in (50, 95):
             rows.append(row(f"{name}, p{percentile} [s]", float(np.percentile(values, percentile)), None, ""))
     return rows
@@ -194,7 +208,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--knobs", type=int, default=14, help="of each seed")
     parser.add_argument("--keep", action="store_true", help="take the records of machines that have run before")
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
-    parser.add_argument("--room", default="ideal", help="room in config/rooms (default: %(default)s)")
+    parser.add_argument("--room", default="workshop", choices=LIMITS_MM, help="room (default: %(default)s)")
     options = parser.parse_args(arguments)
     OUT.mkdir(exist_ok=True)
     wanted = [s for s in options.seeds if not (options.keep and _record(s, options.room).exists())]
@@ -213,10 +227,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
             if entry["outcome"] != "reached" or entry["wrong"] or entry["collisions"] or entry.get("error_mm", 0) > 0.5:
                 print(seed, entry)
     title = f"{options.touches} touches on each of {len(options.seeds)} simulated machines, room {options.room}"
-    rows = summary(options.seeds, results)
+    rows = summary(options.seeds, results, options.room)
     for part, entries in turned.items():
         rows += knob_rows(entries, "" if part == "knobs" else " with a dimple") if entries else []
-    return 0 if write("operating" if options.room == "ideal" else f"operating_{options.room}", rows, title=title) else 1
+    return 0 if write(f"operating_{options.room}", rows, title=title) else 1
 
 
 if __name__ == "__main__":

@@ -195,15 +195,22 @@ def new_graph(tmp_path: Path) -> Iterator[RunningGraph]:
         yield graph
 
 
+@pytest.fixture
+def workshop_graph(tmp_path: Path) -> Iterator[RunningGraph]:
+    """A graph like ``new_graph`` in the room that `make demo` has."""
+    with _graph(tmp_path / "graph", domain_of_worker(50, 40) + 1, "--room", "workshop") as graph:
+        yield graph
+
+
 @contextlib.contextmanager
-def _graph(folder: Path, domain: int) -> Iterator[RunningGraph]:
+def _graph(folder: Path, domain: int, *extra: str) -> Iterator[RunningGraph]:
     patience = [text for name, value in PATIENT.items() for text in ("--set", f"ui_bridge.{name}={value}")]
     # The tests also run command-line programs next to their operator.
     programs = f"{PROGRAMS} operator"
     nodes = ("serial_driver", "gantry_controller")
     patience += [text for node in nodes for text in ("--set", f"{node}.heartbeat_programs={programs}")]
     folder.mkdir(exist_ok=True)
-    graph = RunningGraph(folder, domain, *patience)
+    graph = RunningGraph(folder, domain, *patience, *extra)
     try:
         yield graph
     finally:
@@ -224,7 +231,8 @@ def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, pytest.TestR
     """Show beside a failure what the graph said: the fault may be its own."""
     report = yield
     fixtures = getattr(item, "funcargs", {})
-    graph = next((fixtures[name] for name in ("started_graph", "running_graph", "new_graph") if name in fixtures), None)
+    names = ("started_graph", "running_graph", "new_graph", "workshop_graph")
+    graph = next((fixtures[name] for name in names if name in fixtures), None)
     if report.failed and graph is not None:
         report.sections.append(("graph", graph.tail()))
     return report

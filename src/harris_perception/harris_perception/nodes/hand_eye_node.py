@@ -32,6 +32,7 @@ from harris_perception.core.pose.planar_pose import FACE_POINT_COLUMNS, FacePoin
 from icu_common.core.configuration.text_bounds import plain
 from icu_common.core.geometry.frames import BASE, CAMERA_LEFT, JOINTS
 from icu_common.nodes import qos
+from icu_common.nodes.alignment.pair_message import pair_of_message
 from icu_common.nodes.camera_info import CameraInfoSubscription
 from icu_common.nodes.diagnostics import Diagnostics
 from icu_common.nodes.graph_node import GraphNode
@@ -80,6 +81,7 @@ class HandEyeNode(GraphNode):
         if self._live.config.run.mounting == "carriage":
             self.create_subscription(PointCloud2, "panel/points", self._on_points, qos.RESULTS)
         self.create_subscription(MarkerArray, "panel/controls", self._on_controls, qos.LATCHED)
+        self.create_subscription(DiagnosticArray, "pair", self._on_pair, qos.LATCHED)
         self.create_subscription(PointStamped, "contact", self._on_contact, qos.RESULTS)
         self.create_subscription(DiagnosticArray, "result", self._on_result, qos.RESULTS)
         for side in ("left", "right"):
@@ -186,6 +188,13 @@ class HandEyeNode(GraphNode):
             self.get_logger().error(f"panel/controls: {error}", throttle_duration_sec=5.0)
             return
         self.calibrator.take_controls({c.name: np.array([*c.position_mm, c.height_mm]) / 1e3 for c in controls})
+
+    def _on_pair(self, message: DiagnosticArray) -> None:
+        try:
+            check_not_ahead(message.header, self.get_clock())
+            self.calibrator.take_pair(pair_of_message(message))
+        except ValueError as error:
+            self.get_logger().error(f"stylus/pair: {error}", throttle_duration_sec=5.0)
 
     def _on_settings(self, message: String) -> None:
         self._act(self.calibrator.take_settings(message.data, self._now_ns()))

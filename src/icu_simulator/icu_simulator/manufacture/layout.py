@@ -57,6 +57,29 @@ def deviations(nominal: PanelLayout, made: PanelLayout) -> dict[str, dict[str, l
     return found
 
 
+def print_offset_mm(nominal: PanelLayout, made: PanelLayout) -> tuple[float, float]:
+    """Return the offset of the print of a manufactured panel: points of the face that are known by the print have it.
+
+    Raises
+    ------
+    ValueError
+        If the panel has no printed rectangle or circle.
+    """
+    for kind in (Rectangle, Circle):
+        pairs = zip(*([item for item in panel.artwork if isinstance(item, kind)] for panel in (nominal, made)))
+        for before, after in pairs:
+            (x0, y0), (x1, y1) = (_corner(before), _corner(after))
+            return x1 - x0, y1 - y0
+    raise ValueError(f"panel {nominal.model}: no rectangle or circle is printed on it")
+
+
+def _corner(item: Artwork) -> tuple[float, float]:
+    if isinstance(item, Rectangle):
+        return item.rectangle_mm[0], item.rectangle_mm[1]
+    assert isinstance(item, Circle)
+    return item.circle_mm[0], item.circle_mm[1]
+
+
 def _made_control(
     control: Control, layout: PanelLayout, config: ManufactureConfig, rng: np.random.Generator
 ) -> Control:

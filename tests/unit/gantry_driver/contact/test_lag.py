@@ -88,8 +88,20 @@ def test_a_stylus_that_was_bumped_is_reported_once_and_corrected() -> None:
     finding = memory.looked(0.0008, 0.00005)
     assert finding is not None and finding.code is HeightFindingCode.STYLUS_OFFSET
     assert finding.text() == "the stylus is 0.8 mm higher than its readings say"
-    assert memory.stylus.value_m == pytest.approx(0.0008, abs=2e-5)
+    assert memory.stylus.value_m == pytest.approx(0.0008, abs=5e-5)
     assert memory.looked(0.00083, 0.00005) is None
+
+
+def test_the_error_of_a_look_at_another_control_is_no_finding() -> None:
+    """In room ``workshop`` looks above keys scatter by 0.154 mm: "the stylus is 0.4 mm higher" was reported at CH2."""
+    rng = np.random.default_rng(SEED)
+    looks, findings = 50, 0
+    for _ in range(40):
+        memory = HeightMemory(CONFIG)
+        offset_m = rng.normal(0.0, CONFIG.height.start_sigma_m)
+        findings += sum(memory.looked(offset_m + rng.normal(0.0, 0.000154), 0.00005) is not None for _ in range(looks))
+    print(f"seed {SEED}: {findings} findings in {40 * looks} looks")
+    assert findings <= 0.005 * 40 * looks
 
 
 def test_the_end_of_a_key_is_learnt_and_its_shift_is_a_finding() -> None:

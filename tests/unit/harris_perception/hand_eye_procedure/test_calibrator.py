@@ -29,6 +29,7 @@ from harris_perception.core.hand_eye_procedure.calibrator_actions import (
 from harris_perception.core.hand_eye_procedure.calibrator_config import CalibratorConfig
 from harris_perception.core.hand_eye_procedure.still_watch import StillConfig
 from harris_perception.core.pose.planar_pose import FacePoints
+from icu_common.core.alignment.pair import PairCode, PairState
 from icu_common.core.geometry.frames import PANEL
 from icu_common.core.geometry.geometry import Array, Transform
 from icu_common.core.goals.results import GoalResult, Outcome
@@ -390,3 +391,20 @@ def test_other_limits_of_drift_do_not_end_what_is_said_of_a_run() -> None:
     calibrator.run(now)
     assert calibrator.configure(dataclasses.replace(CONFIG, drift=DriftConfig(times=2, max_tip_m=0.01)), now) == []
     assert calibrator.state.startswith("calibrating 0/")
+
+
+def test_a_run_knows_the_correction_of_the_right_camera_from_before_and_during_it() -> None:
+    calibrator, turn = calibrated(), np.array([0.0, 0.001, 0.0])
+    calibrator.take_driver("idle", NOW_NS)
+    calibrator.take_pair(PairState(code=PairCode.CORRECTED, rotation_rad=turn, stamp_ns=NOW_NS - MS))
+    calibrator.run(NOW_NS)
+    run = calibrator._run
+    assert run is not None
+    tip = np.array([0.02, 0.01, 0.6])
+    seen = run._pair.neutral(NOW_NS, tip)
+    # 0.001 rad are 3 mm in depth at 0.6 m with a baseline of 0.12 m.
+    assert 0.002 < np.linalg.norm(seen - tip) < 0.004
+    calibrator.take_pair(PairState(code=PairCode.CHANGING, rotation_rad=3 * turn, stamp_ns=NOW_NS + MS))
+    np.testing.assert_array_equal(run._pair.newest(seen), run._pair.newest(run._pair.neutral(NOW_NS, tip)))
+    calibrator.take_pair(PairState(stamp_ns=NOW_NS + 2 * MS))
+    np.testing.assert_allclose(run._pair.neutral(NOW_NS + 3 * MS, tip), tip, atol=1e-12)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -62,3 +63,16 @@ def test_every_item_is_returned_once_given_up_or_waiting(arrivals: list[tuple[in
     left = sum(len(waiting) for waiting in pairing._waiting)
     assert left <= 12
     assert returned + pairing.unpaired + left + repeated == len(arrivals)
+
+
+@pytest.mark.parametrize("phase_ms", [0.5, 13.0, 29.0, 40.0, 60.0])
+def test_a_tolerance_of_half_a_period_pairs_free_running_cameras(phase_ms: float) -> None:
+    """Two cameras at 15 Hz without a trigger: each left image gets the nearest right one, whatever the phase."""
+    pairing, period_ns, found = Pairing(2, tolerance_ns=34_000_000), 66_666_667, []
+    shots = [(n * period_ns, 0, n) for n in range(30)]
+    shots += [(n * period_ns + round(phase_ms * 1e6), 1, n) for n in range(30)]
+    for stamp_ns, stream, number in sorted(shots):
+        if (pair := pairing.add(stream, stamp_ns, number)) is not None:
+            found.append(pair)
+    off = 0 if phase_ms < 33.4 else 1
+    assert found == [(n + off, n) for n in range(30 - off)]

@@ -86,7 +86,7 @@ def test_command_line_of_a_node(config: Path) -> None:
         ),
         ("params/eye.yaml", "params/ear.yaml", r"eye: parameter file .*ear\.yaml does not exist"),
         ("only: [bench], arguments", "only: [bnech], arguments", "board: only 'bnech': the profiles are bench, test"),
-        ("extends: bench", "extend: bench", "profile test: unknown key extend; known: about, extends, set"),
+        ("extends: bench", "extend: bench", "profile test: unknown key extend; known: about, extends, room, set"),
         ("scope: dial", "scope: [dial", r"graph.yaml:2: expected ',' or '\]'"),
         ("profiles:", "profile:", "graph.yaml: profiles is missing"),
         ("  board:\n", "  board: none\n  other:\n", "graph.yaml: programs: board: a mapping is needed"),

@@ -44,7 +44,9 @@ def test_the_bench_of_the_graph_stands_in_the_named_room() -> None:
         programs = load_graph(CONFIG, profile, run=Path("/run"), state=Path("/state"), room=name)
         return [p.stem for program in programs for p in program.parameter_files if p.parent.name == "rooms"]
 
-    assert rooms("bench", "") == ["ideal"] and rooms("test", "ward") == ["ward"]
+    assert rooms("bench", "") == ["workshop"] and rooms("bench", "ideal") == ["ideal"]
+    assert rooms("test", "") == ["ideal"] and rooms("test", "ward") == ["ward"]
+    assert rooms("carriage", "") == rooms("carriage_test", "") == ["ideal"], "a profile's own room"
     assert rooms("carriage", "workshop") == ["workshop"]
     assert rooms("hardware", "") == rooms("replay", "") == []
     with pytest.raises(GraphError, match=r"room 'cellar' is none of the rooms in .*: ideal, ward, workshop"):

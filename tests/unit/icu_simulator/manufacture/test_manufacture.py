@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from icu_common.core.configuration.config import from_mapping
-from icu_common.core.panel.panel_layout import Text, load_layout
+from icu_common.core.panel.panel_layout import Circle, Rectangle, Text, load_layout
 from icu_simulator.core.bench import Bench
 from icu_simulator.core.configuration import BenchConfig
 from icu_simulator.core.instrument import InstrumentState
@@ -17,7 +17,7 @@ from icu_simulator.core.panel_texture import draw_face
 from icu_simulator.core.renderer import Moment, Renderer, base_from_panel, control_pixels
 from icu_simulator.manufacture.age import aged
 from icu_simulator.manufacture.configuration import AgeConfig, ManufactureConfig, PrintConfig
-from icu_simulator.manufacture.layout import deviations, manufactured
+from icu_simulator.manufacture.layout import deviations, manufactured, print_offset_mm
 
 SCOPES = Path(__file__).parents[4] / "config/scopes"
 LAYOUT = load_layout(SCOPES / "dso_bench_4.yaml")
@@ -37,6 +37,26 @@ def test_switched_off_the_panel_is_its_layout_file() -> None:
     assert bench.layout is LAYOUT
     assert bench.take_records() == []
     assert {tuple(c["off_mm"]) for c in bench.truth()["controls"].values()} == {(0.0, 0.0, 0.0)}
+
+
+@pytest.mark.parametrize("name", sorted(path.stem for path in SCOPES.glob("*.yaml")))
+def test_the_offset_of_the_print_is_that_of_all_its_shapes(name: str) -> None:
+    layout = load_layout(SCOPES / f"{name}.yaml")
+    assert print_offset_mm(layout, layout) == (0.0, 0.0)
+    made = manufactured(layout, MADE, 7)
+    x, y = print_offset_mm(layout, made)
+    assert 0.0 < max(abs(x), abs(y)) <= MADE.print.offset_mm
+    for before, after in zip(layout.markers, made.markers):
+        assert np.subtract(after.position_mm, before.position_mm) == pytest.approx((x, y), abs=1e-9)
+    for kind, corner in ((Rectangle, "rectangle_mm"), (Circle, "circle_mm")):
+        pairs = zip(
+            *(
+                [getattr(item, corner)[:2] for item in panel.artwork if isinstance(item, kind)]
+                for panel in (layout, made)
+            )
+        )
+        for first, second in pairs:
+            assert np.subtract(second, first) == pytest.approx((x, y), abs=1e-9)
 
 
 @pytest.mark.parametrize("position_mm", [0.2, 0.6])

@@ -20,8 +20,16 @@ class HeightConfig(Config):
     )
     place_sigma_m: float = setting(
         0.00006,
-        "Standard deviation of the difference of two heights of the ball that repetition does not show: other "
-        "background, other distance from the cameras",
+        "Standard deviation of the difference of two heights of the ball at one control that repetition does not "
+        "show: other distance from the cameras",
+        minimum=0.0,
+        maximum=0.005,
+        unit="m",
+    )
+    look_sigma_m: float = setting(
+        0.00016,
+        "Standard deviation of the ball's height above one control, which repetition does not show, relative to its "
+        "readings: another background than that of the other controls",
         minimum=0.0,
         maximum=0.005,
         unit="m",

@@ -62,7 +62,7 @@ class HeightMemory:
         if correction_m is not None:
             self.stylus.sigma_m = math.hypot(self.stylus.sigma_m, correction_m - self._correction_m)
             self._correction_m = correction_m
-        return self.stylus.take(offset_m, math.hypot(sigma_m, self.config.height.place_sigma_m))
+        return self.stylus.take(offset_m, math.hypot(sigma_m, self.config.height.look_sigma_m))
 
     def touched(self, control: str, key: bool, end_m: float, sigma_m: float) -> HeightFinding | None:
         """Take a control that stopped the ball ``end_m`` below its expected top."""

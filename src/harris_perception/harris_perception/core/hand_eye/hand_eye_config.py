@@ -64,7 +64,7 @@ class HandEyeConfig(Config):
         4.5, "Deviation, in standard deviations, above which a sample is removed", minimum=2.0, maximum=100.0
     )
     max_outliers: float = setting(0.3, "Maximum fraction of samples that may be removed", minimum=0.0, maximum=0.49)
-    max_rms_m: float = setting(0.0005, "Maximum accepted rms misfit", minimum=1e-6, maximum=0.1, unit="m")
+    max_rms_m: float = setting(0.0007, "Maximum accepted rms misfit", minimum=1e-6, maximum=0.1, unit="m")
     max_scale_error: float = setting(
         0.05, "Maximum relative error of an axis's scale against its readings", minimum=0.001, maximum=0.5
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -46,6 +47,13 @@ class RunConfig(Config):
         minimum=0.0,
         maximum=0.01,
         unit="m",
+    )
+    least_gain: float = setting(
+        0.2,
+        "Minimum share by which all further positions together must reduce the predicted error; less is not worth "
+        "their time, unless it brings the error below `enough_m`",
+        minimum=0.0,
+        maximum=1.0,
     )
     heights_m: tuple[float, ...] = setting(
         (0.0, -0.016),
@@ -138,6 +146,15 @@ def next_stops(
     if not sets:
         return []
     return sets[_aims(config).best(known, sets, [seconds(at, stops) for stops in sets])]
+
+
+def rest_gain(config: RunConfig, known: Array, visited: set[tuple[float, float]], *, see_tip: bool = True) -> float:
+    """Return the share by which all positions that are left would reduce the predicted error; see ``next_stops``."""
+    left = [stop for stops in _grid(config, see_tip) if (stops[0].x, stops[0].y) not in visited for stop in stops]
+    if not left:
+        return 0.0
+    aims = _aims(config)
+    return 1.0 - math.sqrt(aims.variance(np.vstack([known, readings_of(left)])) / aims.variance(known))
 
 
 def check_plan(config: RunConfig, solver: HandEyeConfig) -> None:

@@ -16,10 +16,11 @@ from harris_perception.core.hand_eye.carriage_camera import Contact
 from harris_perception.core.hand_eye.degeneracy import DegenerateError, MisfitError
 from harris_perception.core.hand_eye.hand_eye_config import HandEyeConfig
 from harris_perception.core.hand_eye_procedure.calibration_look import Look, Patience, Rest
-from harris_perception.core.hand_eye_procedure.calibration_plan import RunConfig, next_stops, plan
+from harris_perception.core.hand_eye_procedure.calibration_plan import RunConfig, next_stops, plan, rest_gain
 from harris_perception.core.hand_eye_procedure.calibration_solution import Failed, Finished, Samples
 from harris_perception.core.hand_eye_procedure.calibration_tour import SAMPLED, Purpose, Stop, seconds
 from harris_perception.core.hand_eye_procedure.lowering_check import LoweringCheck
+from harris_perception.core.hand_eye_procedure.pair_corrections import PairCorrections
 from harris_perception.core.hand_eye_procedure.panel_clearance import PanelClearance
 from harris_perception.core.hand_eye_procedure.still_watch import StillConfig
 from harris_perception.core.pose.planar_pose import FacePoints
@@ -102,7 +103,8 @@ class CalibrationRun:
         self._start_ns = self._deadline_ns = now_ns
         self._look: Look | None = None
         self._left: Look | None = None
-        self._samples = Samples(config, solver, cameras, contacts)
+        self._pair = PairCorrections(cameras)
+        self._samples = Samples(config, solver, cameras, contacts, self._pair)
         self._done = 0
         self._missed: list[str] = []
         self._clearance = PanelClearance(see_panel=self._see_panel)
@@ -120,6 +122,10 @@ class CalibrationRun:
     def driver_state(self, text: str) -> list[Action]:
         """Set the driver's state; any state other than idle and moving ends the run."""
         return [] if self.over or state_name(text) in _FINE else self._fail(f"the driver says {text!r}")
+
+    def pair(self, stamp_ns: int, rotation_rad: Array) -> None:
+        """Set the rotation (3,) rad of the right camera with which tips after ``stamp_ns`` are measured."""
+        self._pair.take(stamp_ns, rotation_rad)
 
     def reading(self, stamp_ns: int, reading: Array) -> None:
         """Add readings (3,) m."""
@@ -165,7 +171,7 @@ class CalibrationRun:
     def tip(self, stamp_ns: int, tip: Array | None, now_ns: int) -> list[Action]:
         """Add a sighting (3,) m in the camera's frame; None: the tip is not seen in that image."""
         for look in self._open():
-            look.tip(stamp_ns, tip)
+            look.tip(stamp_ns, None if tip is None else self._pair.neutral(stamp_ns, tip))
         return self._advance(now_ns)
 
     def panel(self, stamp_ns: int, camera_from_panel: Transform, points: FacePoints, now_ns: int) -> list[Action]:
@@ -217,9 +223,10 @@ class CalibrationRun:
             return self._miss(seen)
         stop = look.stop
         if seen.tip is not None:
-            if wrong := self._lowering.fault(stop, seen.tip.tip):
+            tip = self._pair.newest(seen.tip.tip)
+            if wrong := self._lowering.fault(stop, tip):
                 return self._fail(wrong)
-            self._clearance.measured(stop, look.camera_from_panel, seen.tip.tip)
+            self._clearance.measured(stop, look.camera_from_panel, tip)
         if stop.purpose is not Purpose.ABOVE:
             self._samples.keep(stop.purpose, seen)
             self._done += 1
@@ -342,7 +349,8 @@ class CalibrationRun:
             if not (more and self._go_on(())):
                 return self._fail(str(solved))
             return list(self._again(now_ns))
-        if self._samples.error_m(solved) > self._config.enough_m and self._go_on(solved.fit.used.tolist()):
+        used = solved.fit.used.tolist()
+        if self._is_worth_more(self._samples.error_m(solved), used) and self._go_on(used):
             return list(self._again(now_ns))
         self.over = True
         return [self._progress(now_ns), self._samples.check(solved)]
@@ -351,12 +359,30 @@ class CalibrationRun:
         self._index -= 1
         yield from self._next(now_ns)
 
-    def _go_on(self, used: Sequence[bool]) -> bool:
-        """Append the position that improves the calibration most; false if there is none."""
+    def _is_worth_more(self, error_m: float, used: Sequence[bool]) -> bool:
+        """Return whether further positions are worth their time; noisy cameras leave an error that they cannot reduce.
+
+        ``enough_m`` of 0 requests all positions.
+        """
+        config = self._config
+        if error_m <= config.enough_m or config.enough_m == 0.0:
+            return error_m > config.enough_m
+        gain = rest_gain(config, self._known(used), self._fitted_places(), see_tip=self._see_tip)
+        return gain >= config.least_gain or error_m * (1.0 - gain) <= config.enough_m
+
+    def _known(self, used: Sequence[bool]) -> Array:
+        """Return the readings (N, 3) m of the samples that count; all of them if ``used`` is empty."""
         readings = [sample.reading for sample in self._samples.fitted()]
         known = [reading for reading, counts in zip(readings, used) if counts] if len(used) else readings
-        fitted = {(stop.x, stop.y) for stop in self._stops if stop.purpose is Purpose.FIT}
-        more = next_stops(self._config, np.reshape(known, (-1, 3)), fitted, self._stops[-1], see_tip=self._see_tip)
+        return np.reshape(known, (-1, 3))
+
+    def _fitted_places(self) -> set[tuple[float, float]]:
+        return {(stop.x, stop.y) for stop in self._stops if stop.purpose is Purpose.FIT}
+
+    def _go_on(self, used: Sequence[bool]) -> bool:
+        """Append the position that improves the calibration most; false if there is none."""
+        known, fitted = self._known(used), self._fitted_places()
+        more = next_stops(self._config, known, fitted, self._stops[-1], see_tip=self._see_tip)
         last = [s for s in more[-1:] if s.z]
         self._stops += [*more, *(s._replace(z=0.0, purpose=Purpose.PARK) for s in last)]
         self._places += len(more)

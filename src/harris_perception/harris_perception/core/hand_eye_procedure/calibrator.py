@@ -36,6 +36,7 @@ from harris_perception.core.hand_eye_procedure.conditions import Conditions
 from harris_perception.core.hand_eye_procedure.still_watch import NO_READINGS, StillWatch
 from harris_perception.core.pose.planar_pose import FacePoints
 from harris_perception.core.stereo.pairing import Pairing
+from icu_common.core.alignment.pair import PairCode, PairState
 from icu_common.core.geometry.camera_model import CameraModel
 from icu_common.core.geometry.frames import PANEL
 from icu_common.core.geometry.geometry import Array, Transform
@@ -61,6 +62,7 @@ class Calibrator:
         self._progress = Progress(0, 0, remaining_s=0.0)
         self._panel: Transform | None = None
         self._controls: dict[str, Array] = {}
+        self._pair: tuple[int, Array] | None = None
 
     @property
     def state(self) -> str:
@@ -188,6 +190,16 @@ class Calibrator:
         self.watch.panel(stamp, pose, points)
         return [] if self._run is None else self._follow(self._run.panel(stamp, pose, points, now_ns), now_ns)
 
+    def take_pair(self, state: PairState) -> None:
+        """Set the rotation of the right camera, which the stylus tracker corrects once it is known."""
+        if state.code is not PairCode.CHANGING:
+            self._pair = state.stamp_ns, state.rotation_rad
+            self._tell_run_the_pair()
+
+    def _tell_run_the_pair(self) -> None:
+        if self._run is not None and self._pair is not None:
+            self._run.pair(*self._pair)
+
     def take_controls(self, controls: dict[str, Array]) -> None:
         """Set the controls' positions (3,) m in panel_link, by name."""
         self._controls = controls
@@ -258,6 +270,7 @@ class Calibrator:
         axes = None if self.stored is None else self.stored.base_from_reading
         self._run = CalibrationRun(config.run, config.still, config.solver, cameras, now_ns, axes, tuple(self.contacts))
         self._tell_run_the_face()
+        self._tell_run_the_pair()
         return self._follow(self._run.start(now_ns), now_ns)
 
     def add_sample(self, now_ns: int) -> str:

@@ -7,6 +7,9 @@ from then on. A change must last: a cell that keeps changing belongs to a trace.
 A stopped trace leaves the whole screen at rest, which a running one never does. Then all cells count at once, and the
 trace may run for a moment before the change lasts, as after a single acquisition. This does not apply to a screen that
 rests between changes of its own, for example of a reading.
+
+Glass reflects the room. An arm above it takes a part of this reflected light away, alike in all colours. Such cells
+count as hidden.
 """
 
 from __future__ import annotations
@@ -37,6 +40,12 @@ KEPT_REST = 0.75
 """Share of the required rest that a cell keeps after a reported change: the next press comes within three seconds."""
 _SHARE = 0.3
 """Weight of a new image in the usual appearance."""
+_DEEPEST_SHADE = 0.45
+"""Maximum share of the reflected light that a shadow takes away."""
+_EVEN = 0.4
+"""Minimum ratio of the smallest to the largest loss of a colour channel in a shadow."""
+_NOT_DRAWN = 20.0
+"""Percentile of the cells' brightness that shows the reflected light alone: most of a screen is dark."""
 
 
 class ScreenWatch:
@@ -83,6 +92,7 @@ class ScreenWatch:
         light
             Brightness of the room; 1 is usual.
         """
+        seen = seen & ~(self._known & self._shaded(value, light))
         gap_s = min((stamp_ns - self._last_ns) / 1e9, LONGEST_GAP_S) if self._last_ns else 0.0
         quiet = unlit(value, self._last, light / self._light) < self._change / 2
         off = unlit(value, self._usual, light) > self._change
@@ -107,6 +117,16 @@ class ScreenWatch:
         self._known |= seen
         self._last = np.where(seen[..., None], value, self._last)
         self._last_ns, self._light = stamp_ns, light
+
+    def _shaded(self, value: Array, light: float) -> npt.NDArray[np.bool_]:
+        """Return which cells a shadow may have darkened, by less than the screen alone may change."""
+        if not self._known.any():
+            return np.zeros(self._known.shape, bool)
+        reflected = np.percentile(self._usual[self._known], _NOT_DRAWN, axis=0)
+        lost = self._usual * min(light, 1.0) - value
+        most, least = lost.max(axis=-1), lost.min(axis=-1)
+        deep = (lost <= _DEEPEST_SHADE * reflected).all(axis=-1)
+        return np.asarray((most > self._change / 2) & deep & (least >= _EVEN * most))
 
     def _ends_rest(self, stirred: npt.NDArray[np.bool_], gap_s: float) -> bool:
         """Return whether the cells that have just changed end a rest of the whole screen that counts."""

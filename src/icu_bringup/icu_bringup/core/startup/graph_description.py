@@ -14,7 +14,7 @@ from icu_common.core.configuration.yaml_text import UNREADABLE, Loader, Repeated
 
 SIMULATED_TIME = "simulated_time"
 """Profile that is added if all hardware is simulated."""
-_PROFILE_KEYS = {"about", "extends", "set", "simulated_by"}
+_PROFILE_KEYS = {"about", "extends", "room", "set", "simulated_by"}
 _KEYS = {"package", "executable", "namespace", "only", "ros", "ends_last", "when"}
 _NAMESPACE = re.compile(r"/?[A-Za-z]\w*(/[A-Za-z]\w*)*/?", re.ASCII)
 _TEXTS = ("package", "executable", "namespace", "waits_for", "extends", "scope", "room")
@@ -142,7 +142,7 @@ def load_graph(
     scope
         Model of the designated instrument; empty for the file's default.
     room
-        Room of a simulated bench in config/rooms; empty for the file's default.
+        Room of a simulated bench in config/rooms; empty for the profile's, or the file's, default.
     simulated_time
         Whether the graph follows ``/clock``, which the bench publishes.
 
@@ -203,11 +203,12 @@ def load_graph(
 
 def _room_file(config: Path, document: Any, profile: str, room: str) -> str:
     """Return the file of the room below ``config``, as the parameter lists name it by ``$(room)``."""
-    chosen = room or document.get("room", "")
+    chain = _chain(document["profiles"], profile)
+    of_profile = [document["profiles"][p]["room"] for p in chain if "room" in document["profiles"][p]]
+    chosen = room or [document.get("room", ""), *of_profile][-1]
     rooms = sorted(p.stem for p in (config / "rooms").glob("*.yaml"))
     if chosen and chosen not in rooms:
         raise GraphError(f"room {chosen!r} is none of the rooms in {config / 'rooms'}: {', '.join(rooms)}")
-    chain = _chain(document["profiles"], profile)
     if room and not any("simulated_by" in document["profiles"][p] for p in chain):
         raise GraphError(f"room {room!r}: profile {profile} has no simulated bench that could stand in a room")
     return f"rooms/{chosen}.yaml"
