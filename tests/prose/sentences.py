@@ -16,7 +16,7 @@ from markdown_it.token import Token
 
 _CODE = re.compile(r"``[^`]+``|`[^`]+`|:\w+:`[^`]+`")
 _LINK = re.compile(r"https?://\S+")
-_SPLIT = re.compile(r"(?<=[.!?:;])[\"')\]]*\s+(?=[\"'(\[]*[A-Z0-9`<])")
+_SPLIT = re.compile(r"(?<=[.!?])[\"')\]]*\s+(?=\S)|(?<=[:;])\s+(?=[\"'(\[]*[A-Z0-9`<])")
 _ABBREVIATION = re.compile(r"\b(?:e\.g|i\.e|etc|cf|vs|no|fig|eq|approx|resp|et al|Dr|St)\.$", re.IGNORECASE)
 _SECTION = re.compile(r"^[A-Z][A-Za-z ]+\n-{3,}$", re.MULTILINE)
 """Heading of a numpydoc section."""
@@ -119,19 +119,20 @@ def _of_docstring(path: Path, line: int, text: str) -> Iterator[Sentence]:
 
 
 def _comments(source: str) -> Iterator[tuple[int, str]]:
-    """Return comments; lines of a block belong together."""
+    """Return comments: a block of lines as one text, those after code each by itself."""
     block: list[str] = []
     begin = last = 0
     for token in tokenize.generate_tokens(io.StringIO(source).readline):
         if token.type != tokenize.COMMENT or token.string.startswith(("#!", "# noqa", "# type:")):
             continue
         text = re.sub(r"#+ ?-*|# (noqa|type:).*", "", token.string, count=1).strip(" -")
-        if token.start[0] != last + 1 or not block:
+        after_code = bool(token.line[: token.start[1]].strip())
+        if token.start[0] != last + 1 or not block or after_code:
             if block:
                 yield begin, " ".join(block)
             block, begin = [], token.start[0]
         block.append(text)
-        last = token.start[0]
+        last = -1 if after_code else token.start[0]
     if block:
         yield begin, " ".join(block)
 
