@@ -1,4 +1,4 @@
-"""`make check`: plain English and spelling of documents, docstrings and comments; `python -m prose.check [FILE ...]`."""
+"""Checks English and spelling of documents, docstrings and comments: ``python -m prose.check [FILE ...]``."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def files(rules: Rules) -> list[Path]:
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Print each finding; the number of findings is the program's failure."""
+    """Print each finding; return 1 if there is any, else 0."""
     rules = load()
     paths = [Path(name).resolve() for name in arguments] or files(rules)
     findings = [finding for path in paths for finding in rules.of_file(path, ROOT)]
@@ -37,7 +37,8 @@ def main(arguments: Sequence[str]) -> int:
     if spelling:
         print(spelling)
     if findings or spelling:
-        print(f"prose: {len(findings)} findings, {len(spelling.splitlines())} misspelt words; rules: tests/prose/rules.toml")
+        misspelt_words = len(spelling.splitlines())
+        print(f"prose: {len(findings)} findings, {misspelt_words} misspelt words; rules: tests/prose/rules.toml")
     return 1 if findings or spelling else 0
 
 

@@ -1,4 +1,4 @@
-"""`python -m prose.counts [FOLDER]`: sentences, their lengths and the broken rules by kind of text, as a Markdown table."""
+"""Prints sentences, their lengths and the broken rules by kind of text: ``python -m prose.counts [FOLDER]``."""
 
 from __future__ import annotations
 
@@ -13,7 +13,8 @@ from prose.rules import load, mean, read
 def main(root: Path) -> None:
     """Print the table of the texts below a checkout's folder."""
     rules = load()
-    print("| text | sentences | mean words | longest | over 30 words | over 35 words | broken rules |\n|---|---|---|---|---|---|---|")
+    print("| text | sentences | mean words | longest | over 30 words | over 35 words | broken rules |")
+    print("|---|---|---|---|---|---|---|")
     broken: dict[str, Counter[str]] = {}
     for kind in rules.kinds:
         sentences = [sentence for path in kind.paths(root) for sentence in read(path)]
@@ -31,7 +32,8 @@ def main(root: Path) -> None:
         )
         print(f"| {kind.name} | {' | '.join(map(str, row))} |")
     for name, counts in broken.items():
-        print(f"\n{name}: " + (", ".join(f"{rule} {number}" for rule, number in counts.most_common()) or "no rule broken"))
+        rules_of_kind = ", ".join(f"{rule} {number}" for rule, number in counts.most_common())
+        print(f"\n{name}: {rules_of_kind or 'no rule broken'}")
 
 
 if __name__ == "__main__":

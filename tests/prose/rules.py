@@ -49,7 +49,11 @@ class Kind:
     def paths(self, root: Path) -> list[Path]:
         """Return the files below a folder, sorted."""
         found = {path for pattern in self.files for path in root.glob(pattern) if "__pycache__" not in path.parts}
-        return sorted(path for path in found if path.suffix in READERS and not any(fnmatch(path.name, name) for name in self.left_out))
+        return sorted(
+            path
+            for path in found
+            if path.suffix in READERS and not any(fnmatch(path.name, name) for name in self.left_out)
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,7 +99,9 @@ class Rules:
             yield from self.of_sentence(sentence, root)
         if path.suffix == ".md" and (words := mean(sentences)) > self.mean:
             remedy = f"shorter sentences: at most {self.mean:g} words on average"
-            yield Finding(path.relative_to(root), 1, f"{len(sentences)} sentences", f"mean of {words:.1f} words", remedy)
+            yield Finding(
+                path.relative_to(root), 1, f"{len(sentences)} sentences", f"mean of {words:.1f} words", remedy
+            )
 
     def of_tree(self, root: Path) -> Iterator[Finding]:
         """Return what is wrong in all texts below the project's folder."""
@@ -110,8 +116,8 @@ def read(path: Path) -> Iterator[Sentence]:
 
 
 def mean(sentences: Iterable[Sentence]) -> float:
-    """Return the mean number of words; 0 without sentences."""
-    counts = [sentence.words for sentence in sentences]
+    """Return the mean number of words in running text; 0 without sentences."""
+    counts = [sentence.words for sentence in sentences if sentence.running]
     return sum(counts) / len(counts) if counts else 0.0
 
 

@@ -8,7 +8,7 @@ import json
 import re
 import tokenize
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from markdown_it import MarkdownIt
@@ -25,11 +25,22 @@ _WORD = re.compile(r"[A-Za-zÀ-ÿ][\w'’-]*")
 
 @dataclass(frozen=True, slots=True)
 class Sentence:
-    """A sentence: its file, the line on which its paragraph begins, and its text without code and links."""
+    """A sentence of a text, without code and links.
+
+    Attributes
+    ----------
+    path, line
+        File, and line on which its paragraph begins.
+    text
+        Words; CODE and LINK replace code and addresses.
+    running
+        Whether it is part of a paragraph or list, and not a heading or a cell of a table.
+    """
 
     path: Path
     line: int
     text: str
+    running: bool = True
 
     @property
     def words(self) -> int:
@@ -40,11 +51,15 @@ class Sentence:
 def of_markdown(path: Path) -> Iterator[Sentence]:
     """Return the sentences of paragraphs, lists and tables of a document; code blocks are left out."""
     line = 1
+    opened = ""
     for token in MarkdownIt("commonmark").enable("table").parse(path.read_text()):
         if token.map:
             line = token.map[0] + 1
         if token.type == "inline":
-            yield from _sentences(path, line, _plain(token.children or []))
+            running = opened == "paragraph_open"
+            for sentence in _sentences(path, line, _plain(token.children or [])):
+                yield replace(sentence, running=running)
+        opened = token.type
 
 
 def of_python(path: Path) -> Iterator[Sentence]:

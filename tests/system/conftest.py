@@ -221,7 +221,7 @@ def running_graph(started_graph: RunningGraph) -> RunningGraph:
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, pytest.TestReport, pytest.TestReport]:
-    """Show beside a failure what the graph said: the fault may be its own."""
+    """Show the graph's output with a failure: the fault may be its own."""
     report = yield
     fixtures = getattr(item, "funcargs", {})
     graph = next((fixtures[name] for name in ("started_graph", "running_graph", "new_graph") if name in fixtures), None)
