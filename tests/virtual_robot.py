@@ -1,10 +1,10 @@
 """The whole robot in one process on one virtual clock: every core of the graph, without ROS, sockets and waiting.
 
-Real are the controller, the driver with its G-code and protocol, the mock board with its planner, the bench (hidden
-errors, contacts, pictures), the stylus tracker, recognition and the hand-eye procedure. Left out are the processes
-between them; what those cost is a delay here: a picture's results come ``PICTURE_S`` after its exposure, a message
-takes ``MESSAGE_S``. Images are drawn only while a program waits for them: recognition looks at the panel before each
-goal and while an effect is awaited. In between its last answer is repeated (all the time with ``watch_panel``).
+Real are the controller, the driver with its G-code and protocol, and the mock board with its planner. So are the bench
+(hidden errors, contacts, pictures), the stylus tracker, recognition and the hand-eye procedure. Left out are the
+processes between them; what those cost is a delay here: a picture's results come ``PICTURE_S`` after its exposure, a
+message takes ``MESSAGE_S``. Images are drawn only while a program waits for them: recognition looks at the panel before
+each goal and while an effect is awaited. In between its last answer is repeated (all the time with ``watch_panel``).
 Recognition reads the left image of the newest pair, after the tracker has measured the tip in that pair.
 """
 

@@ -1,7 +1,7 @@
 """A small replacement for the rest of the graph, for tests of the page alone: images, pose, answers to commands.
 
 Run as a program. It draws the panel from its layout, answers gestures as the controller does (accepted, then reached
-with a measured error after a motion of 1.5 s), and obeys stop, reset, home and enable. Lines on standard input change
+with a measured error after a motion of 1.5 s). It obeys stop, reset, home and enable. Lines on standard input change
 the world: ``confidence 0.2``, ``shift 0.01`` (the panel moves, m), ``heartbeat_timeout 9`` and ``motion 6`` (s),
 ``stall`` and ``resume`` (images), and ``deaf 1`` (no stop arrives). ``mute 1`` stops the panel's reports, ``unread 1``
 hides the knobs' markers, and ``driver homing`` is the driver's message. Each is answered by ``heard`` on standard

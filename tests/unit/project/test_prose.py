@@ -153,3 +153,9 @@ def test_files_of_a_kind_are_those_of_its_patterns_without_the_ones_left_out(tmp
     for name in ("a.md", "b_de.md", "c.txt"):
         (tmp_path / name).write_text("")
     assert [p.name for p in Kind("texts", ("*",), ("*_de.*",)).paths(tmp_path)] == ["a.md"]
+
+
+def test_headings_and_tables_do_not_count_in_the_mean(tmp_path: Path) -> None:
+    running = "word " * 20 + "end. "
+    (found,) = findings(tmp_path / "text.md", f"# Title\n\n| a | b |\n|---|---|\n| c | d |\n\n{running}\n")
+    assert ": mean of 21.0 words: " in found

@@ -1,7 +1,7 @@
 """The mock board where GRBL 1.1h itself differs from its documents, or from what one would expect.
 
-Sources: system.c, gcode.c, jog.c, settings.c, report.c, print.c, nuts_bolts.c and spindle_control.c of gnea/grbl; what
-was compared is listed in docs/decisions/mock-board.md.
+Sources: system.c, gcode.c, jog.c, settings.c, report.c, print.c, nuts_bolts.c and spindle_control.c of gnea/grbl. The
+compared parts are listed in docs/decisions/mock-board.md.
 """
 
 from __future__ import annotations
