@@ -266,8 +266,12 @@ class ProcessGroup:
             self._selector.unregister(key.fileobj)
             key.fileobj.close()  # type: ignore[attr-defined]
 
-    def stop(self, within_s: float = 20.0) -> list[str]:
+    def stop(
+        self, within_s: float = 20.0, on_ended: Callable[[str, float], None] = lambda name, after_s: None
+    ) -> list[str]:
         """End everything: interrupt, and after a while terminate, abort and kill.
+
+        ``on_ended`` is called with each program's name and the seconds from its first signal to its end.
 
         A program that is still starting is terminated at once: a KeyboardInterrupt would print a traceback, or be lost
         in a callback of an import.
@@ -286,7 +290,7 @@ class ProcessGroup:
             self._forks.stop()
         killed: list[str] = []
         for stage in (lambda w: not (w.ends_last or w.rescues), lambda w: w.rescues, lambda w: w.ends_last):
-            killed += self._end([w for w in self._programs if w.process is not None and stage(w)], within_s)
+            killed += self._end([w for w in self._programs if w.process is not None and stage(w)], within_s, on_ended)
         for watched in self._programs:
             watched.close_pipe()
         self._read_rest()
@@ -301,8 +305,9 @@ class ProcessGroup:
         for key in list(self._selector.get_map().values()):
             key.fileobj.close()  # type: ignore[union-attr]
 
-    def _end(self, waiting: list[Watched], within_s: float) -> list[str]:
+    def _end(self, waiting: list[Watched], within_s: float, on_ended: Callable[[str, float], None]) -> list[str]:
         killed: list[str] = []
+        begin = time.monotonic()
         for number, share in _LADDER:
             for watched in waiting:
                 assert watched.process is not None
@@ -315,7 +320,9 @@ class ProcessGroup:
             while waiting and time.monotonic() < deadline:
                 for key, _ in self._selector.select(0.05):
                     self._read(key)
-                waiting = [w for w in waiting if w.process is not None and w.process.poll() is None]
+                for watched in [w for w in waiting if w.process is None or w.process.poll() is not None]:
+                    waiting.remove(watched)
+                    on_ended(watched.name, time.monotonic() - begin)
             if not waiting:
                 break
         return killed

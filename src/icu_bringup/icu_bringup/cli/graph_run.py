@@ -41,6 +41,8 @@ _FORKING_PAYS = 3
 """Minimum number of nodes for which the server that forks them is started."""
 _TURN_S, _REST_S = 0.05, 0.2
 """Seconds between two checks for new sockets and keys, which no output announces: during the start, and later."""
+_SLOW_END_S = 3.0
+"""Seconds after which a program's end is printed, not only logged."""
 PREPARE = "prepare"
 DRIVER = "gantry_driver", "serial_driver"
 """Package and executable of the program that owns the board's port through a guard."""
@@ -107,7 +109,7 @@ class GraphRun:
             self._screen.clear()
             self._screen.say(f"ending every program{why}")
         finally:
-            killed = group.stop()
+            killed = group.stop(on_ended=self._ended)
             if killed:
                 self._screen.say(f"had to be killed: {', '.join(killed)}")
         return 1 if group.gave_up or killed else 0
@@ -298,6 +300,10 @@ class GraphRun:
                 self._prepared(text)
         else:
             self._screen.say(f"{name:>17} ! {text}")
+
+    def _ended(self, name: str, after_s: float) -> None:
+        show = self._screen.say if after_s > _SLOW_END_S else self._screen.log
+        show(f"{name:>17} | ended {after_s:.1f} s after its signal")
 
 
 def _is_driver(program: Program) -> bool:

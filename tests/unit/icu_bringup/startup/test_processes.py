@@ -391,5 +391,7 @@ signal.pause()
     watch.group.start("board", [*PYTHON, board], ends_last=True)
     watch.group.start("driver", [*PYTHON, slow])
     watch.until(lambda: len(watch.output) == 2)
-    assert watch.group.stop() == []
+    ended: dict[str, float] = {}
+    assert watch.group.stop(on_ended=ended.__setitem__) == []
     assert ("board", "board saw True") in watch.output
+    assert list(ended) == ["driver", "board"] and ended["driver"] >= 0.5
