@@ -3,7 +3,7 @@
 SHELL := /bin/bash
 PYTHON ?= python3
 export PYTHON
-# Else each worker and each process of the graph compiles all modules anew at its start.
+# Else each worker and each process of the graph compiles all modules again at its start.
 unexport PYTHONDONTWRITEBYTECODE
 VENV := .venv/bin
 INSTALL := ros2_ws/install
@@ -46,7 +46,7 @@ test-long:
 	@$(BESIDE) tests -m "long and not alone"; beside=$$?; \
 		$(PYTEST) --durations 12 tests -m "long and alone" && exit $$beside
 
-check: ## lint, formatting, types and import contracts
+check: ## lint, formatting, types, import contracts, plain English and spelling
 	@scripts/setup.sh dev
 	@$(VENV)/ruff check src tests benchmarks scripts && $(VENV)/ruff format --check --quiet src tests benchmarks scripts || \
 		{ echo "formatting differs; mend it with: .venv/bin/ruff format src tests benchmarks scripts"; exit 1; }
@@ -54,6 +54,7 @@ check: ## lint, formatting, types and import contracts
 		else $(VENV)/mypy -n 2 || { echo "once more in one process (on a busy computer workers start too late)"; $(VENV)/mypy; }; fi
 	@PYTHONPATH=$$(echo src/*/ | tr ' ' ':') $(VENV)/lint-imports --no-cache
 	@$(VENV)/python scripts/checks/commit_subjects.py
+	@PYTHONPATH=tests $(VENV)/python -m prose.check
 
 bench: ## measure every speed claim against a peer; results in benchmarks/out/
 	@scripts/setup.sh dev

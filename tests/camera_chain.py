@@ -1,4 +1,4 @@
-"""What an ordinary camera does to a rendered image before a program receives it: sensor, mosaic, pixel format.
+"""Effects of an ordinary camera on a rendered image before a program receives it: sensor, mosaic, pixel format.
 
 The simulated bench renders ideal images; these functions are the steps of a UVC camera, each by itself:
 

@@ -1,4 +1,4 @@
-"""Which tests may run beside each other, where several run at once; and memory as in a node of the graph."""
+"""Tests that may run at the same time, where several run at once; and memory as in a node of the graph."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Shares(LoadFileScheduling):
         return nodeid if file.startswith("tests/unit/robot/test_every_panel") else file
 
 
-@pytest.hookimpl(optionalhook=True)  # with `-p no:xdist` nobody asks
+@pytest.hookimpl(optionalhook=True)  # with `-p no:xdist` no program asks
 def pytest_xdist_make_scheduler(config: Any, log: Any) -> Shares | None:
     """Return the scheduler for `--dist loadfile`."""
     return Shares(config, log) if config.getoption("dist") == "loadfile" else None

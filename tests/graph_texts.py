@@ -1,6 +1,7 @@
-"""What the programs of the graph can say to the operator's page, collected from their source as templates.
+"""Messages of the graph's programs to the operator's page, collected from their source as templates.
 
-A template is a text with ``{}`` for each value. What only a log, a terminal or a refused start shows is left out.
+A template is a text with ``{}`` for each value. Texts that only a log, a terminal or a refused start shows are left
+out.
 """
 
 from __future__ import annotations
@@ -67,7 +68,7 @@ ONLY_ELSEWHERE = {
         ),
     ),
 }
-_UNSAID = re.compile(  # calls whose texts go to a log, or to nobody
+_UNSAID = re.compile(  # calls whose texts go to a log only, or to no reader
     r"setting|re\.compile|Note|(Assertion|Runtime|Config|Calibration)Error|.*get_logger\(\)\..*|_?LOG\..*"
 )
 

@@ -16,7 +16,7 @@ HOLD = ord("!")
 
 
 class LineSocket:
-    """Requests and answers as JSON lines over a Unix socket, waited for where nobody listens on it yet."""
+    """Requests and answers as JSON lines over a Unix socket; the client waits until a server listens on it."""
 
     def __init__(self, path: Path) -> None:
         self._socket = socket.socket(socket.AF_UNIX)
@@ -51,7 +51,7 @@ class LineSocket:
 
 
 class BoardSocket(LineSocket):
-    """The mock board's control socket: what the board received and where it stands."""
+    """The mock board's control socket: the bytes that the board received, and its position."""
 
     def ask(self, do: str, **values: Any) -> dict[str, Any]:
         answer = super().ask(do, **values)
@@ -79,7 +79,7 @@ class BoardSocket(LineSocket):
         return self.log(since, "line")
 
     def holds(self, since: int = 0) -> list[float]:
-        """Return when it was told to hold, in s of its clock."""
+        """Return when it received the hold, in s of its clock."""
         return [entry["t"] for entry in self.log(since, "realtime") if entry["byte"] == HOLD]
 
     def mpos(self) -> tuple[float, float, float]:

@@ -1,4 +1,4 @@
-"""What each node of a running graph offers to others, in the form of `ros2 node info`, with its parameters.
+"""Interfaces of each node of a running graph, in the form of `ros2 node info`, with its parameters.
 
 `PYTHONPATH=tests python -m node_interfaces /gantry/serial_driver ...` prints it for nodes in ROS_DOMAIN_ID. To compare
 two versions of the project, print the interfaces of both and compare the texts.
@@ -31,7 +31,7 @@ PARTS: dict[str, str] = {
 """Headings, and the methods of rclpy's Node with which `ros2 node info` asks for them."""
 EVERY_NODE = "every node"
 AT_TIMES = " (at times)"
-"""Ends the line of what a node has only while it needs it, such as a subscription to images."""
+"""Ends the line of an interface that a node has only on demand, such as a subscription to images."""
 
 Interfaces = dict[str, dict[str, list[str]]]
 """Lines by heading by node."""
@@ -40,7 +40,7 @@ Interfaces = dict[str, dict[str, list[str]]]
 def interfaces_of(ros: Ros, nodes: Sequence[str], hide: Callable[[Any], Any] = lambda value: value) -> Interfaces:
     """Return the interfaces of nodes, given by their full names; ``hide`` replaces values that differ between runs.
 
-    What all of them have, such as the services for parameters, is listed once.
+    Interfaces that all of them have, such as the services for parameters, are listed once.
     """
     asking = ros.nodes[0]
 

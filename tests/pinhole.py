@@ -16,7 +16,7 @@ def pinhole(
     baseline_m: float = 0.0,
     k1: float = 0.0,
 ) -> CameraModel:
-    """Return a camera ``baseline_m`` to the right of the left one; ``centre_px`` is the picture's unless told."""
+    """Return a camera ``baseline_m`` to the right of the left one; ``centre_px`` is the image's unless given."""
     cx, cy = centre_px or ((size[0] - 1) / 2, (size[1] - 1) / 2)
     k = np.array([[focal_px, 0.0, cx], [0.0, focal_px, cy], [0.0, 0.0, 1.0]])
     p = np.column_stack([k, [-focal_px * baseline_m, 0.0, 0.0]])

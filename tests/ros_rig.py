@@ -31,7 +31,7 @@ LONGEST_TURN_S = 0.5
 def domain_of_worker(base: int = 100, count: int = 100) -> int:
     """Return one of ``count`` ROS domains that no other test run, worker, graph or replay here uses until this ends.
 
-    Up to 232 are valid. By process numbers alone two test runs met on a domain, and each heard the other's graph.
+    Up to 232 are valid. By process numbers alone two test runs met on a domain, and each received the other's messages.
     """
     name = os.environ.get("PYTEST_XDIST_WORKER")
     first = os.getpid() if name is None else os.getppid() * 16 + int(name[2:])

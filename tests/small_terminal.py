@@ -19,7 +19,7 @@ class SmallTerminal:
         for arguments, final, back, new, plain in _TOKEN.findall(text):
             if final == "A":
                 self.row -= int(arguments or 1)
-                # What has scrolled off the screen cannot be reached.
+                # Text that has scrolled off the screen cannot be reached.
                 highest = max(len(self.lines) - self.height, 0)
                 assert self.row >= highest, f"the cursor left the screen: {self.lines}, {text[-2000:]!r}"
             elif final == "J":

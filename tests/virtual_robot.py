@@ -1,10 +1,10 @@
 """The whole robot in one process on one virtual clock: every core of the graph, without ROS, sockets and waiting.
 
-Real are the controller, the driver with its G-code and protocol, the mock board with its planner, the bench (hidden
-errors, contacts, pictures), the stylus tracker, recognition and the hand-eye procedure. Left out are the processes
-between them; what those cost is a delay here: a picture's results come ``PICTURE_S`` after its exposure, a message
-takes ``MESSAGE_S``. Pictures are drawn only while somebody waits for them: recognition looks at the panel before each
-goal and while an effect is waited for; in between its last answer is repeated (all the time with ``watch_panel``).
+Real are the controller, the driver with its G-code and protocol, and the mock board with its planner. So are the bench
+(hidden errors, contacts, pictures), the stylus tracker, recognition and the hand-eye procedure. Left out are the
+processes between them; what those cost is a delay here: a picture's results come ``PICTURE_S`` after its exposure, a
+message takes ``MESSAGE_S``. Images are drawn only while a program waits for them: recognition looks at the panel before
+each goal and while an effect is awaited. In between its last answer is repeated (all the time with ``watch_panel``).
 Recognition reads the left image of the newest pair, after the tracker has measured the tip in that pair.
 """
 
@@ -102,7 +102,7 @@ class VirtualRobot:
         self.renderer = Renderer(self._made, self.config, self.bench.panel_from)
         self._stream = CameraStream()
         self._pairs = FreePairs(tolerance_ns=round(parameters("stylus_tracker")["pair_tolerance_s"] * 1e9))
-        # What the calibration files say; the bench's true cameras may differ.
+        # Contents of the calibration files; the bench's true cameras may differ.
         rig = stereo_rig(self.config.camera)
         self.cameras = [CameraModel.from_mapping(rig.calibration(side)) for side in ("left", "right")]
         self.stereo = StereoModel(left=self.cameras[0], right=self.cameras[1])
@@ -162,7 +162,7 @@ class VirtualRobot:
         self.renderer = Renderer(self._made, self.config, self.bench.panel_from)
 
     def accept_pair(self) -> None:
-        """Tell the comparison of the cameras that a new hand-eye calibration was made."""
+        """Inform the comparison of the cameras that a new hand-eye calibration was made."""
         self.pair.accept()
         self._tell(msg.PairSeen(pair=self.pair.state))
 

@@ -5,13 +5,13 @@ board's answer and the host (a USB adapter's timer). Bytes are counted at the bo
 the last accepted line. The peers send the same lines on the same port: a minimal send-response loop, and
 ``pygrbl-streamer``, a published sender that also counts characters, with its default settings.
 
-Stop latency: from the call of the service, the publication of the topic and the delivery of SIGTERM to ``!``, while a
-path is being streamed and the cameras' part of the graph is running: simulated pair, corners, stereo, stylus,
-recognition, page. The node runs in its own process. On the signal that process does not end, so that it can be measured
-again. Two times are recorded: when the driver's write to the port has returned, and when the board has the byte.
-Between them is the pseudo-terminal. An ordinary kernel thread transfers its bytes and competes with the cameras for the
-processor; a serial port has no such thread. The node requests real-time scheduling as the program does. So do the two
-processes that measure: the one that requests the stop, and the board that records the byte's arrival.
+Stop latency is the time from the call of the service, the publication of the topic or the delivery of SIGTERM to ``!``.
+Meanwhile a path is being streamed, and the cameras' part of the graph is running: simulated pair, corners, stereo,
+stylus, recognition, page. The node runs in its own process. On the signal that process does not end, so that it can be
+measured again. Two times are recorded: when the driver's write to the port has returned, and when the board has the
+byte. Between them is the pseudo-terminal. An ordinary kernel thread transfers its bytes and competes with the cameras
+for the processor; a serial port has no such thread. The node requests real-time scheduling as the program does. So do
+the two processes that measure: the one that requests the stop, and the board that records the byte's arrival.
 """
 
 from __future__ import annotations

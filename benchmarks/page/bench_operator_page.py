@@ -4,9 +4,10 @@ The camera's images contain the time at which they were made, and the browser re
 drawn. So "glass to glass" is the time from the camera node's stamp to pixels on the page, without the monitor's own
 delay. The slow link is a proxy with 3 Mbit/s and 20 ms one way in each direction. A stop is measured from the page's
 key to ``!`` at the mock board. With many viewers, the benchmark also measures the regularity of the operator's
-heartbeat, the age of corners on arrival (from a node on the same images), and the bridge's share of a processor: the
-bridge has real-time scheduling, so no other program gets this share. ``--parts floods`` measures STOP while observers
-and strangers flood the server. docs/decisions/operator-page.md compares other methods to show a camera on a page.
+heartbeat, and the age of corners on arrival (from a node on the same images). It measures the bridge's share of a
+processor, too. The bridge has real-time scheduling, so no other program gets this share. ``--parts floods`` measures
+STOP while observers and strangers flood the server. docs/decisions/operator-page.md compares other methods to show a
+camera on a page.
 """
 
 from __future__ import annotations

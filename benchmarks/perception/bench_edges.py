@@ -1,7 +1,7 @@
 """Measure edges against human drawings (BSDS500 format), and their cost in addition to corners.
 
-Scores are the best F-measure of one threshold for all images (ODS) and of the best threshold for each image (OIS), next
-to OpenCV's and scikit-image's Canny at their best sigma.
+Scores are the best F-measure of one threshold for all images (ODS) and of the best threshold for each image (OIS). They
+are next to those of OpenCV's and scikit-image's Canny at their best sigma.
 
 The benchmark needs a folder of <name>.jpg and <name>.mat, by default edges/ in the data folder. Ours runs with its
 default settings, for grey and for colour images. They were chosen for the highest ODS and OIS on every second image by

@@ -1,7 +1,7 @@
 """Run the whole graph at full rate for a long time, with a press now and then: no resource use may grow.
 
 Every ten seconds it records each process's memory, open files and threads, and the age of corners on arrival. The first
-fifth of the time is warm-up. The medians of the last fifth are compared with those of the fifth after warm-up: each
+fifth of the time is warm-up. The medians of the last fifth are compared with those of the fifth after warm-up. Each
 process may use at most LIMITS more, and the corners' age may rise by half. The output is a table (CSV), a plot and a
 verdict. With ``--simulated`` the graph runs by simulated time, so a busy computer only makes it slow; the age is then
 no claim.

@@ -40,7 +40,7 @@ SHOWN = 5
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Case:
-    """What one seed of one direction stands for."""
+    """Parameters of one seed of one direction."""
 
     direction: str
     seed: int

@@ -191,7 +191,7 @@ class Judge:
             self.wrong.append(f"a stop that presses: {machine.state_text!r} at {_place(truth)}")
         board = rig.board.eeprom.values
         for number, wanted in machine.expected_settings().items():
-            # What the driver believes of the others moves nothing.
+            # The driver's values of the others move nothing.
             if state in ("idle", "unhomed", "disabled") and abs(wanted - board[number]) > 1e-3:
                 self.wrong.append(f"false belief: the board has ${number} = {board[number]:g} instead of {wanted:g}")
 

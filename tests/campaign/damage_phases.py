@@ -1,4 +1,4 @@
-"""What a driver is asked for while a byte is damaged: each phase is repeated until the damage has happened."""
+"""Requests to a driver while a byte is damaged: each phase is repeated until the damage has happened."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ HOVER_MM, OVERTRAVEL_MM, BETWEEN_MM = 8.0, 1.0, 4.0
 """As the controller has them: above the panel before a touch, into it with one, and the lift of a double press."""
 HOLD_S = 0.3
 TIMES = 12
-"""A phase is repeated so often for a damage that comes late, at most."""
+"""Maximum number of repetitions of a phase for a damage that comes late."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,7 +115,7 @@ def _along(rig: DamageRig, scene: Scene, way: Sequence[Point], speed_m_s: float)
 
 
 def _turn(rig: DamageRig, scene: Scene, rng: random.Random) -> bool:
-    """Follow an arc of 20 to 120 degrees whose chords span 2 degrees, around a middle beside the control."""
+    """Follow an arc of 20 to 120 degrees whose chords span 2 degrees, around a middle next to the control."""
     radius, angle = rng.uniform(4.0, 10.0), math.radians(rng.uniform(20.0, 120.0)) * rng.choice([-1, 1])
     begin, count = rng.uniform(0.0, math.tau), math.ceil(abs(math.degrees(angle)) / 2.0)
     middle = scene.x - radius * math.cos(begin), scene.y - radius * math.sin(begin)

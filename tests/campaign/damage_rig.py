@@ -26,7 +26,7 @@ DIRECTIONS = (TO_BOARD, FROM_BOARD)
 WELL = frozenset({"unhomed", "homing", "idle", "moving"})
 """States without trouble."""
 ANSWER_FACTOR, ANSWER_EXTRA_S = 3.0, 25.0
-"""An answer that takes longer than the planned time so often, and this in addition, counts as none."""
+"""An answer counts as none if it takes longer than this multiple of the planned time, and this in addition."""
 SETTLE_S = 90.0
 WATCH_S = 1.5
 """Duration of the watch, at rest, for motion without a goal."""
@@ -34,7 +34,7 @@ WATCH_S = 1.5
 
 @dataclass(slots=True)
 class Plan:
-    """What one goal is to do: points in readings, mm, and the feed in mm/s of the segment that ends at each."""
+    """Order of one goal: points in readings, mm, and the feed in mm/s of the segment that ends at each."""
 
     points: list[Point]
     feeds: list[float]
@@ -66,7 +66,7 @@ class Window:
 
 @dataclass(slots=True)
 class Story:
-    """What a run has asked for, and what the driver has said."""
+    """Requests of a run, and the driver's messages."""
 
     goals: list[Goal] = field(default_factory=list)
     homings: list[Window] = field(default_factory=list)
@@ -98,7 +98,7 @@ class DamageRig(VirtualRig):
         try:
             yield
         finally:
-            # What is begun goes on: half a swap is a lost byte.
+            # A damage that has begun continues: half a swap is a lost byte.
             if self.damage is not None and not (self.damage.begun and not self.damage.done):
                 self._line.damage = None
 
@@ -163,12 +163,12 @@ class DamageRig(VirtualRig):
         return self.machine.phase.state == "idle"
 
     def connected(self) -> bool:
-        """Wait until the board is told apart; return whether it only waits for homing."""
+        """Wait until the board is recognised; return whether it only waits for homing."""
         self.until(lambda: self.machine.connected and self.machine.at_rest, SETTLE_S)
         return self.machine.phase.state == "unhomed"
 
     def settle(self) -> None:
-        """Wait until nothing is under way, and then for what nobody has asked for."""
+        """Wait until nothing is in transit, and then for messages without a request."""
         self.until(lambda: self.machine.connected and self.machine.at_rest, SETTLE_S)
         self.run_for(WATCH_S)
         self.until(lambda: self.machine.connected and self.machine.at_rest, SETTLE_S)
@@ -186,7 +186,7 @@ class DamageRig(VirtualRig):
         return min(self._session_due, self.now + TICK_S) if self._driver_due else super()._deadline()
 
     def _run_board(self, end: float) -> bytes:
-        # What the board does between two turns of the driver changes nothing that a run waits for.
+        # The board's actions between two turns of the driver change nothing that a run waits for.
         while True:
             data = super()._run_board(end)
             if data or self.now >= end or (self._open and self.now >= self._driver_due):

@@ -4,9 +4,9 @@ The same run is made in virtual time (:class:`~campaign.virtual_link.VirtualRig`
 (:class:`~campaign.port_rig.PortRig`).
 
 Each seed is one run: a random path, as a trajectory or as a G-code program, one fault at a random moment, and then the
-promises: no line lost, doubled or reordered without being reported; no false done; nothing moves after the answer but
-the stylus upwards; no byte beyond the buffer; no unbounded wait. In virtual time one seed reproduces one run, to the
-byte.
+promises. No line is lost, doubled or reordered without a report, and there is no false done. Nothing moves after the
+answer but the stylus upwards, no byte goes beyond the buffer, and no wait is unbounded. In virtual time one seed
+reproduces one run, to the byte.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ Do = Callable[[Rig, random.Random], Any]
 
 @dataclass(frozen=True, kw_only=True)
 class Fault:
-    """What happens; ``before`` marks those that are armed before the path is sent."""
+    """Event of the fault; ``before`` marks those that are armed before the path is sent."""
 
     name: str
     do: Do
@@ -74,7 +74,7 @@ class Fault:
 
 
 def write_settings(rig: Rig, rng: random.Random) -> None:
-    """Write a setting to a board that is deaf for long while it stores it; then home anew."""
+    """Write a setting to a board that receives nothing for a long time while it stores it; then home again."""
     rig.fault("eeprom_pause", seconds=rng.uniform(0.02, 1.2), tail_s=rng.uniform(0.0, 0.045))
     refusal = rig.call(lambda machine, now: machine.write_settings(now, {12: rng.choice([0.001, 0.003])}))
     assert not refusal, refusal
@@ -83,7 +83,7 @@ def write_settings(rig: Rig, rng: random.Random) -> None:
 
 
 def vanish_while_writing(rig: Rig, rng: random.Random) -> None:
-    """The port takes no bytes for a while, and then it is gone with those that wait in it."""
+    """The port accepts no bytes for some time, and then it disappears with those that wait in it."""
     rig.fault("stop_reading", seconds=1.0)
     rig.run_for(rng.uniform(0.0, 0.9))
     rig.fault("unplug", seconds=rng.uniform(0.05, 5.0))
@@ -194,7 +194,7 @@ def judge(rig: Rig, fault: Fault, way: list[Point], sent: list[str], since: int,
     if fault.powerless:
         return
     # A board that was reset while moving is locked (error:9) and refuses what was still on the wire. One that was reset
-    # at rest is not: of what reaches it then, neither a line nor the rest of one may be obeyed.
+    # at rest is not: it may obey neither a line nor the rest of one that reaches it then.
     first_banner = min((entry["n"] for entry in rig.lines(since, "banner")), default=math.inf)
     heard = [
         entry["text"]
@@ -241,7 +241,7 @@ def judge_places(heard: Sequence[str], way: list[Point], *, reached: bool) -> No
 
 
 def moves_of(way: list[Point]) -> list[str]:
-    """Return the lines that this path must become, computed anew and not by the driver."""
+    """Return the lines that this path must become, computed independently of the driver."""
     lines, here, feed = [], (0.0, 0.0, 0.0), ""
     for point in way:
         words = "".join(
@@ -267,7 +267,7 @@ RAPID = "F17234"
 
 
 def program_of(way: list[Point], rng: random.Random) -> list[str]:
-    """Return the lines of a path of which some moves are rapid."""
+    """Return the lines of a path in which some moves are rapid."""
     lines, feed, own = [], "", ""
     for line in moves_of(way):
         word, axes = re.fullmatch(r"(F[\d.]+)?(.*)G53G1", line).groups()  # type: ignore[union-attr]

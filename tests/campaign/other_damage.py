@@ -28,8 +28,8 @@ class OtherDamage(Damage):
         "lines swapped",
         "line repeated",
     )
-    """A real-time byte inserted, a byte replaced by one, a bit stuck or nothing or no ``?`` for a time; a line lost,
-    without its text, twice, without its end, behind the next one, or a second time much later."""
+    """A real-time byte inserted, a byte replaced by one, a bit stuck, or nothing or no ``?`` for a time. Or a line
+    lost, without its text, twice, without its end, behind the next one, or a second time much later."""
     clock: Callable[[], float]
 
     def __init__(self, kind: str, after: int, rng: random.Random) -> None:

@@ -1,7 +1,7 @@
 """The driver's machine and the mock board on one virtual clock, with a link between them that can break.
 
-What the serial link does on a real port (tests of it use a pseudo-terminal) is done here without waiting: bytes in
-pieces of any size, a port that goes and comes, one that takes no more bytes, a hold past all queues.
+Behaviour of the serial link on a real port, without waiting (tests of the link use a pseudo-terminal). Bytes come in
+pieces of any size, a port disappears and returns, one accepts no more bytes, and a hold passes all queues.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from icu_common.core.goals.results import GoalResult
 
 RETRY_S = 0.1
 KERNEL_BYTES = 4096
-"""What a terminal takes although nobody reads it."""
+"""Bytes that a terminal accepts although no program reads it."""
 
 
 class VirtualRig:

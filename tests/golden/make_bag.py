@@ -1,8 +1,8 @@
 """Makes the golden bag: the simulated bench by a virtual clock, seen through JPEG, as the graph would have recorded it.
 
-A calibration (eight samples of the stylus) and three presses. Pictures are only taken while somebody needs them, and
-keep their restart markers, noise is left out: what two pictures share is the same bytes, which the bag's compression
-finds. Everything that the virtual robot decides follows from the pictures as they are in the bag.
+A calibration (eight samples of the stylus) and three presses. Images are only taken while a program requests them, and
+keep their restart markers. Noise is left out: two images share the same bytes, which the bag's compression finds.
+Everything that the virtual robot decides follows from the pictures as they are in the bag.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ from icu_simulator.imaging.timing import Shot
 
 SEED = 7
 TIPS = 3
-"""Sightings for each sample of the calibration; the replay is told the same."""
+"""Sightings for each sample of the calibration; the replay gets the same number."""
 TRACKER = {"max_fit_error": 0.15, "row_tolerance_px": 1.0, "pair.period_s": 0.0}
 """JPEG's blocks blur the ball. Images for recognition have no partner, so the cameras are not compared. The replay uses
 the same settings."""
@@ -115,7 +115,7 @@ class RecordedRobot(VirtualRobot):
         self.controller.handle = recorded  # type: ignore[method-assign]
 
     def record(self) -> None:
-        """Begin, with what a latched topic would tell a late listener."""
+        """Begin with the messages that a latched topic would send to a late subscriber."""
         self._writer = self._waiting_writer
         for name, (kind, profile) in TOPICS.items():
             module, kind_name = kind.__module__.split(".")[0], kind.__name__
@@ -257,7 +257,7 @@ def make(path: Path) -> None:
 
 
 def main() -> int:
-    """Make the bag and the recorded results anew."""
+    """Make a new bag and new recorded results."""
     shutil.rmtree(BAG, ignore_errors=True)
     make(BAG)
     with BagReader(BAG) as bag:

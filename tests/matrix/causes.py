@@ -80,7 +80,7 @@ def _limited(pid: int) -> float:
 
 @contextlib.contextmanager
 def _stranger(stage: Stage, cell: Cell, rng: random.Random) -> Iterator[Begin]:
-    """Start a foreign program; it publishes only when told to, so its start is no part of the measured time."""
+    """Start a foreign program; it publishes only on request, so its start is no part of the measured time."""
     kind, topic, type_name = cell.fault, "/clock", "rosgraph_msgs/msg/Clock"
     if kind == CLOCK:
         kind = "clock"

@@ -76,7 +76,7 @@ class Record:
     answer: str = ""
     page: str = ""
     note: str = ""
-    """What hindered the run; a run with a note is repeated by the next call and not in the table."""
+    """Obstacle of the run; a run with a note is repeated by the next call and not in the table."""
 
     @property
     def cell(self) -> Cell:

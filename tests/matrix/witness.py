@@ -75,7 +75,7 @@ class Witness:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Seen:
-    """What the samples of a run show; times in seconds after the cause."""
+    """Results from the samples of a run; times in seconds after the cause."""
 
     lifted_s: float
     pressed_s: float

@@ -14,7 +14,7 @@ def answer_of(work: Callable[[], str], within_s: float) -> str:
     Parameters
     ----------
     work
-        What the process does; its output is dropped.
+        Work of the process; its output is dropped.
     within_s
         Maximum seconds, after which the process and its own children are killed.
     """

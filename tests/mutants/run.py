@@ -55,7 +55,7 @@ class Change:
 
 @dataclass
 class Results:
-    """What became of each mutant."""
+    """Result of each mutant."""
 
     total: int
     counts: Counter[str] = field(default_factory=Counter)

@@ -14,7 +14,7 @@ def output_in_background(*command: str, environment: Mapping[str, str] | None = 
     """Return what a Python module with arguments has printed until it ended, or was stopped by the kernel."""
     program = shlex.join([sys.executable, "-m", *command])
     shell = ["bash", "-c", f"set -m; {program} & wait $!; kill -9 $!"]
-    # The terminal must be the session's own, or the kernel stops nobody.
+    # The terminal must be the session's own, or the kernel stops no process.
     start = f"import fcntl, os, termios; fcntl.ioctl(0, termios.TIOCSCTTY); os.execvp('bash', {shell})"
     master, slave = pty.openpty()
     with os.fdopen(master, "rb"), os.fdopen(slave, "rb") as terminal:

@@ -33,7 +33,7 @@ def hang_up() -> Iterator[None]:
 def ros(domain: int, tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> Iterator[Ros]:
     """A private rclpy context on a domain of its own, discovery on this host only."""
     monkeypatch.setenv("ROS_LOG_DIR", str(tmp_path / "ros_log"))
-    # A command dies on its way after a second. Whoever sends it here may be held up for longer before it is taken.
+    # A command dies on its way after a second. The sender here may be held up for longer before it is taken.
     monkeypatch.setattr(qos.COMMAND, "lifespan", Duration(seconds=60))
     with participant(domain) as rig:
         yield rig

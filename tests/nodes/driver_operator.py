@@ -21,7 +21,7 @@ from icu_common.nodes.qos import COMMAND, LATCHED, RESULTS, SENSOR
 HOMED = (-359.0, -219.0, -1.0)
 # On a busy machine the thread that waits and sends heartbeats, or the board, may be late without anybody being lost.
 PATIENCE = {"heartbeat_timeout_s": 2.0, "goal_max_age_s": 4.0, "status_timeout_s": 10.0, "hold_timeout_s": 10.0}
-# A node in this process stands still while Python collects the garbage of all tests before it.
+# A node in this process does nothing while Python collects the garbage of all tests before it.
 IN_PROCESS = {"node_silence_s": 0.5}
 # Most tests are about something else than the panel: their whole travel is free space.
 NO_PANEL = {"envelope.free_space_m": 0.06, "envelope.crossing_m": 0.06}

@@ -189,6 +189,6 @@ class GantryBench:
         return finals()[count - 1]
 
     def connect_goals(self) -> None:
-        """Wait until the controller listens, and its answers are heard."""
+        """Wait until the controller has its subscriptions, and its answers arrive."""
         self.ros.spin_until(lambda: self.goal.get_subscription_count() and self.command.get_subscription_count(), 20.0)
         self.ros.spin_until(lambda: self.node.count_publishers("/gantry/result"), 20.0)

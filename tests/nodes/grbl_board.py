@@ -50,13 +50,14 @@ class GrblBoard(BoardSocket):
 
 
 PATIENT = DriverConfig(enabled_at_start=True, status_timeout_s=10.0, hold_timeout_s=10.0)
-"""On a busy machine a board may stand still for seconds without having gone."""
+"""On a busy machine a board may stop for seconds without having ended."""
 SLOW_M_S = 0.03
-"""Of a way on which something happens: it must not have ended, be it that who makes it happen is held up."""
+"""Length of a path on which an event happens: it must not have ended, even if the program that causes the event is held
+up."""
 
 
 class AwakeClock:
-    """Seconds in which this process was not held up, for bounds of what it does itself; a context manager."""
+    """Seconds in which this process was not held up, for bounds of its own actions; a context manager."""
 
     STEP_S, MOST_S = 0.005, 0.05
 
@@ -133,7 +134,7 @@ class LinkRig:
         return self
 
     def go(self, *points: tuple[float, float, float], goal_id: str = "goal", slow_after: int = 1000) -> GoalResult:
-        """Order the way; after so many points it is driven slowly."""
+        """Order the path; after this number of points it is driven slowly."""
         way = [Waypoint(positions_m=point) for point in points[:slow_after]]
         way += [Waypoint(positions_m=point, velocities_m_s=(SLOW_M_S, 0.0, 0.0)) for point in points[slow_after:]]
         return self.link.call(lambda machine, now: machine.run(goal_id, JOINTS, way, age_s=0.0, now=now))

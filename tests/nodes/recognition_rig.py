@@ -30,7 +30,7 @@ PERIOD = 250_000_000
 
 
 class Rig:
-    """The node, publishers for what it hears, and lists of what it says."""
+    """The node, publishers of its inputs, and lists of its messages."""
 
     def __init__(self, ros: Any, camera: CameraModel = CAMERA, **parameters: Any) -> None:
         self.ros = ros

@@ -228,7 +228,7 @@ def running_graph(started_graph: RunningGraph) -> RunningGraph:
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, pytest.TestReport, pytest.TestReport]:
-    """Show beside a failure what the graph said: the fault may be its own."""
+    """Show the graph's output with a failure: the fault may be its own."""
     report = yield
     fixtures = getattr(item, "funcargs", {})
     names = ("started_graph", "running_graph", "new_graph", "workshop_graph")

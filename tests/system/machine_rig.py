@@ -27,7 +27,7 @@ class MachineRig:
         self, folder: Path, domain: int, picture: Path | None = None, rate: float = 15.0, **link: float
     ) -> None:
         extra = [text for name in _LEFT_OUT for text in ("--without", name)]
-        # So slow that a move is under way for long after a loaded page has seen that it began.
+        # So slow that a move continues for long after a loaded page has seen that it began.
         extra += ["--set", "gantry_controller.motion.travel_speed_m_s=0.06"]
         self.graph = RunningGraph(folder, domain, *extra)
         self.folder = folder

@@ -121,7 +121,7 @@ class Operator:
                 return value
             if late:
                 pytest.fail(f"not within {within_s:g} s: {what()}")
-            self.page.wait_for_timeout(20)  # lets the browser's events through
+            self.page.wait_for_timeout(20)  # allows the browser's events
 
     def sees_controls(self) -> None:
         self.page.wait_for_selector("[data-control=RUN_STOP]", timeout=PICTURE_MS)
@@ -141,8 +141,8 @@ class Operator:
     def answer(self, act: Callable[[], object]) -> dict[str, Any] | None:
         """Do what asks the page or the bridge for something; return the answer to that: ``ok``, ``code``, ``values``.
 
-        What the page shows may be the answer to what was done before, and is gone after a second. Such an answer may
-        even be on its way still, as what came of it is told before it: the bridge answers one after the other. None is
+        The page's text may be the answer to an earlier action, and disappears after a second. Such an answer may even
+        be in transit still, because its result is sent before it: the bridge answers one after the other. None is
         returned where nothing was asked for, as by a click on a button that was switched off at that very moment.
         """
         before = self.page.evaluate(_ANSWERS)
@@ -155,8 +155,8 @@ class Operator:
     def insists(self, act: Callable[[], object], wanted: str = "") -> None:
         """Do it again until its answer has the code ``wanted``, or is no refusal.
 
-        A picture, or the bridge, that happened to be late is refused as well, for as long as it is. What is to be
-        refused must not be done once.
+        A picture, or the bridge, that happened to be late is refused as well, for as long as it is. An order that must
+        be rejected must not be carried out once.
         """
         answer: dict[str, Any] | None = None
 
@@ -216,7 +216,7 @@ class Operator:
         return (mean[0], mean[1], mean[2])
 
     def lit(self) -> bool:
-        """Tell whether RUN/STOP is green."""
+        """Return whether RUN/STOP is green."""
         red, green, blue = self.colour_of("RUN_STOP")
         return green > 1.3 * max(red, blue)
 
@@ -237,7 +237,8 @@ class Operator:
             self.page.screenshot(path=str(Path(folder) / f"{name}.png"))
 
     def counts_stops(self) -> Callable[[], int]:
-        """Return what tells how many stops were sent since the last look, once the page has been told all so far."""
+        """Return a function for the number of stops since its last call, once the page has received all earlier
+        ones."""
         page, stops = self.page, list[str]()
         page.on("request", lambda request: stops.append(request.url) if "/stop?" in request.url else None)
 

@@ -17,7 +17,7 @@ class _Direction:
         self._free_s = 0.0
 
     async def pass_through(self, size: int) -> None:
-        """Wait until so many bytes have left the sender."""
+        """Wait until this number of bytes has left the sender."""
         loop = asyncio.get_running_loop()
         self._free_s = max(self._free_s, loop.time()) + 8 * size / self._bits_per_s
         await asyncio.sleep(self._free_s - loop.time())

@@ -1,11 +1,11 @@
-"""A small stand-in for the rest of the graph, for tests of the page alone: pictures, pose, answers to commands.
+"""A small replacement for the rest of the graph, for tests of the page alone: images, pose, answers to commands.
 
 Run as a program. It draws the panel from its layout, answers gestures as the controller does (accepted, then reached
-with a measured error after a motion of 1.5 s), and obeys stop, reset, home and enable. Lines on standard input
-change the world: ``confidence 0.2``, ``shift 0.01`` (the panel moves, m), ``heartbeat_timeout 9`` and
-``motion 6`` (s), ``stall`` and ``resume`` (pictures), ``deaf 1`` (no stop is heard),
-``mute 1`` (nothing is said of the panel), ``unread 1`` (no knob's marker can be read),
-``driver homing`` (what the driver says). Each is answered by ``heard`` on standard output once it holds.
+with a measured error after a motion of 1.5 s). It obeys stop, reset, home and enable. Lines on standard input change
+the world: ``confidence 0.2``, ``shift 0.01`` (the panel moves, m), ``heartbeat_timeout 9`` and ``motion 6`` (s),
+``stall`` and ``resume`` (images), and ``deaf 1`` (no stop arrives). ``mute 1`` stops the panel's reports, ``unread 1``
+hides the knobs' markers, and ``driver homing`` is the driver's message. Each is answered by ``heard`` on standard
+output once it holds.
 """
 
 from __future__ import annotations
@@ -181,7 +181,7 @@ class SyntheticScope(Node):
         if not self.mute:
             self.confidences.publish(Float32(data=self.confidence))
         self.poses.publish(pose_message(pose, header(stamp, CAMERA_LEFT)))
-        rest = panel_pose()  # the machine stands still when the panel moves
+        rest = panel_pose()  # the machine is at rest when the panel moves
         base = Transform(rest.rotation, rest.apply(np.array([0.0, 0.0, TIP_ABOVE_M])))
         self.bases.publish(transform_message(base, header(stamp, CAMERA_LEFT), BASE))
         self.joints.publish(joint_message(JOINTS, self.position, header(stamp, "")))

@@ -1,4 +1,4 @@
-"""Somebody at a terminal of the whole graph, for tests: a heartbeat, goals, and the answers to them."""
+"""A user at a terminal of the whole graph, for tests: a heartbeat, goals, and the answers to them."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from icu_common.nodes.messages.results import result_of_message
 
 
 class Operator:
-    """Somebody at a terminal: a heartbeat, goals, and the answers to them."""
+    """A user at a terminal: a heartbeat, goals, and the answers to them."""
 
     def __init__(self, ros: Ros) -> None:
         self.ros = ros
@@ -45,7 +45,7 @@ class Operator:
         self._state_ends: list[Any] = []
         self.subscribe_states()
         self.told: dict[str, str] = {}
-        """What each program last told of itself."""
+        """Last report of each program about itself."""
         self.node.create_subscription(DiagnosticArray, "/diagnostics", self._take_told, keeping_all(qos.RESULTS))
         self.beating = True
         self.beats_heard = 0
@@ -66,7 +66,7 @@ class Operator:
         ]
 
     def wait_until_ready(self, tail: Callable[[], str]) -> None:
-        """Wait until goals are taken; ``tail`` tells what the graph has printed, for whoever reads of a failure."""
+        """Wait until goals are taken; ``tail`` returns the graph's output, for readers of a failure."""
         self.ros.spin_until(
             lambda: self.state == "ready" and self.goal.get_subscription_count() and self.heartbeat_heard(),
             60.0,
@@ -128,7 +128,7 @@ class Operator:
         return self.answer(str(stamp))
 
     def _new_stamp_ns(self) -> int:
-        """Return a goal's stamp, which is its name: simulated time may stand still between two goals."""
+        """Return a goal's stamp, which is its name: simulated time may be stopped between two goals."""
         self._stamp_ns = max(self._stamp_ns + 1, int(self.node.get_clock().now().nanoseconds))
         return self._stamp_ns
 

@@ -57,7 +57,7 @@ WHOLE = QoSProfile(depth=1000)
 
 
 class Toggle:
-    """The player's service that pauses it and lets it go on."""
+    """The player's service that pauses and resumes it."""
 
     def __init__(self, ros: Ros, node: Node) -> None:
         self._ros, self._client = ros, node.create_client(Trigger, "/bag_player/toggle_paused")
@@ -232,7 +232,7 @@ def test_the_end_of_a_recording_is_in_it_when_the_recorder_is_behind(ros: Ros, t
     recorder = BagRecorder(sink, ["words"], context=ros.context)
     executor.add_node(recorder)
     ros.spin_until(lambda: executor.spin_once(timeout_sec=0.02) or words.get_subscription_count(), 40.0)
-    for number in range(800):  # nobody serves the recorder meanwhile
+    for number in range(800):  # no thread serves the recorder meanwhile
         words.publish(String(data=f"{number}"))
     assert words.wait_for_all_acked(Duration(seconds=10))
     catch_up(recorder)
@@ -250,7 +250,7 @@ def test_a_message_has_the_time_at_which_it_came_however_late_it_is_taken(ros: R
     outputs = {"/words": talker.create_publisher(String, "words", WHOLE)}
     outputs["/eye"] = talker.create_publisher(Image, "eye", WHOLE)
     sink = BagSink(lambda: BagWriter(tmp_path / "bag", keep_free=0))
-    recorder = BagRecorder(sink, list(outputs), context=ros.context)  # nobody serves it
+    recorder = BagRecorder(sink, list(outputs), context=ros.context)  # no thread serves it
 
     def heard() -> bool:
         recorder.look()
@@ -277,7 +277,7 @@ def test_a_message_has_the_time_at_which_it_came_however_late_it_is_taken(ros: R
 
 
 def test_recording_of_a_simulation_has_the_times_of_its_clock(ros: Ros, tmp_path: Path) -> None:
-    """Its messages have stamps of that clock; played beside later ones they would all be old."""
+    """Its messages have stamps of that clock; next to later ones they would all be old."""
     talker = ros.plain("talker")
     words, clock = (
         talker.create_publisher(String, "words", WHOLE),
@@ -359,7 +359,7 @@ def test_it_is_said_that_it_records_once_what_is_there_is_recorded(ros: Ros, tmp
 
 
 def test_a_recorder_of_named_topics_listens_once_it_hears_each(ros: Ros, tmp_path: Path) -> None:
-    """Who plays in step begins then; one that was asked for and found later had missed what was sent before."""
+    """A player in step starts then. One that was requested and found later had missed the messages before."""
     talker, sink = ros.plain("talker"), BagSink(lambda: BagWriter(tmp_path / "bag", keep_free=0))
     talker.create_publisher(String, "/words", WHOLE)
     recorder = ros.node(lambda **options: BagRecorder(sink, ["/words", "/late"], **options))
@@ -523,7 +523,7 @@ def test_a_pause_at_the_end_of_a_loop_lasts(ros: Ros, tmp_path: Path, command: S
     ros.spin_until(lambda: len(a) > 100, 40.0, lambda: len(a))
     toggle = Toggle(ros, listener)
     toggle.until("paused")
-    quiet(ros, a, 25)  # what was under way has arrived
+    quiet(ros, a, 25)  # messages in transit have arrived
     a.clear()
     quiet(ros, a, 50)
     assert a == []
@@ -544,7 +544,8 @@ def test_a_loop_with_nothing_to_play_listens_and_rests(ros: Ros, tmp_path: Path,
 
 
 def quiet(ros: Ros, received: Sequence[Any], turns: int) -> None:
-    """Spin until nothing has come in so many turns of 20 ms, in which this process waited and was not held up."""
+    """Spin until nothing has arrived in this number of turns of 20 ms, in which this process waited and was not held
+    up."""
     counts: list[int] = []
     ros.spin_until(lambda: (counts.append(len(received)), counts[-turns - 1 :].count(counts[-1]) > turns)[1], 60.0)
 
@@ -579,7 +580,7 @@ def test_recorded_pictures_come_back_as_pictures(ros: Ros, tmp_path: Path, comma
 
 
 def test_a_recording_of_the_page_ends_whole_when_its_bridge_is_killed(ros: Ros, tmp_path: Path) -> None:
-    """The bridge that is started anew knows nothing of it: it would go on, unseen, until the disk is full."""
+    """The restarted bridge knows nothing of it: it would continue, unseen, until the disk is full."""
     program = tmp_path / "bag_record"
     errors = tmp_path / "errors"
     program.write_text(f'#!/bin/sh\nexec {sys.executable} -m icu_bringup.cli.bag_record "$@" 2> {errors}\n')

@@ -39,7 +39,7 @@ IDEAL = {
 
 
 class Board:
-    """Stands in for the mock board: serves lines that the test writes to whoever connects."""
+    """Replaces the mock board: serves lines that the test writes to each client that connects."""
 
     def __init__(self, path: Path) -> None:
         self._listener = socket.socket(socket.AF_UNIX)
@@ -134,7 +134,7 @@ def test_the_ball_is_where_it_was_at_the_stamp(start: Any) -> None:
     bench = start(**IDEAL)
     board, camera = bench.board(), bench.camera()
     camera.read(20.0)
-    # To and fro at 40 mm/s, six seconds each way, told ahead of time so that a loaded machine cannot delay it.
+    # To and fro at 40 mm/s, six seconds each way, sent ahead of time so that a loaded machine cannot delay it.
     begin, speed, count, step = time.monotonic() - 0.05, 40.0, 399, 0.04
 
     def way_mm(after_s: float) -> float:
@@ -255,7 +255,7 @@ def test_a_camera_can_be_knocked_and_effects_switched_on_while_the_bench_runs(st
     while abs((shifts := moved())[1][0]) < 1.0:
         assert time.monotonic() < deadline, f"never moved: {shifts}"
     # The camera looks 0.2 degrees further to its right: 850 px times the angle, 2.97 px in the middle of the picture.
-    # Beside it the picture plane is oblique to the rays, which the lens takes back in part: 3.08 px on average there.
+    # Off the axis the image plane is oblique to the rays; the lens compensates a part of it: 3.08 px on average there.
     assert shifts[1] == pytest.approx([-3.08, 0.0], abs=0.08)
     assert shifts[0] == pytest.approx([0.0, 0.0], abs=0.01)
     assert bench.ask("truth")["camera_from_base"] == truth, "the left camera stays"

@@ -1,4 +1,4 @@
-"""A program that hears nothing though somebody speaks ends, to be started anew."""
+"""A program that receives nothing though another program sends ends, to be restarted."""
 
 from __future__ import annotations
 
@@ -110,7 +110,7 @@ def test_a_camera_whose_pictures_alone_are_not_heard_any_more_is_named_on_one_ho
 
 
 def told_by(ros: Any, name: str) -> Diagnostics:
-    """Return what tells of a node of another process."""
+    """Return the messages that announce a node of another process."""
     told = Diagnostics(ros.plain(name))
     diagnostics.own_names.clear()
     return told
@@ -176,7 +176,7 @@ def test_in_a_simulation_the_steps_of_its_time_show_that_others_are_heard(
 
 
 def test_a_subscription_that_was_given_up_unheard_is_not_asked_any_more(ros: Any, hearing: Hearing) -> None:
-    """Corners and pictures for people are only subscribed to while somebody looks."""
+    """Corners and drawn images are only subscribed to while a viewer requests them."""
     node, camera = ros.plain("node"), ros.plain("camera")
     camera.create_publisher(CameraInfo, "/left/camera_info", qos.IMAGES)
     given_up = node.create_subscription(CameraInfo, "/left/camera_info", lambda m: None, qos.SENSOR)
@@ -187,7 +187,7 @@ def test_a_subscription_that_was_given_up_unheard_is_not_asked_any_more(ros: Any
 
 
 def test_a_deaf_program_ends_only_after_a_crash(ros: Any, domain: int) -> None:
-    """Its predecessor's shared memory, which the camera still writes to, is what nobody reads any more."""
+    """No program reads its predecessor's shared memory any more, to which the camera still writes."""
     silent, speaking = ros.plain("silent"), ros.plain("speaking")
     mute = silent.create_publisher(CameraInfo, "/left/camera_info", qos.IMAGES)
     heard = speaking.create_publisher(CameraInfo, "/right/camera_info", qos.IMAGES)
@@ -226,7 +226,7 @@ def test_a_program_that_hears_nobody_any_more_ends_where_it_is_started_anew(ros:
     try:
         os.close(told)
         ros.spin_until(lambda: beside.get_subscription_count() == 2, 40.0)
-        until = time.monotonic() + 6.0  # longer than nobody may be heard
+        until = time.monotonic() + 6.0  # longer than the limit without a message
         ros.spin_until(lambda: (other.tell("ok", "well", []), time.monotonic() > until)[1], 20.0)
         assert watched.poll() is None
         ros.spin_until(lambda: watched.poll() is not None, 40.0)

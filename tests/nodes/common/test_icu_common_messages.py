@@ -261,7 +261,7 @@ def test_another_camera_is_known_by_each_of_its_values(field: str) -> None:
 
 
 def test_a_region_of_interest_and_binning_move_the_pixels() -> None:
-    """CameraInfo tells the whole picture's matrices; the picture that comes is a part of it, in larger pixels."""
+    """CameraInfo has the matrices of the whole image; the received image is a part of it, in larger pixels."""
     info = camera_info()
     whole = camera_model(info)
     info.d[0], info.p[3] = -0.1, -1700.0 * 0.12

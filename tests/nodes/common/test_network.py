@@ -57,7 +57,7 @@ def test_dds_hears_on_loopback_alone(ros: Ros) -> None:
     assert first + 250 <= least
     ports = [(address, port) for address, port in udp_sockets(os.getpid()) if first <= port < first + 250]
     assert ports and {address for address, _ in ports} == {"127.0.0.1"}, ports
-    # What else is open is for sending: nobody reads there, and its ports are chosen by the system.
+    # The other open sockets are for sending: no program reads there, and the system chooses their ports.
     others = [(a, p) for a, p in udp_sockets(os.getpid()) if a != "127.0.0.1" and p < least]
     assert others == []
 
@@ -120,7 +120,7 @@ def test_shared_memory_is_used_where_the_buffers_are_small(
     monkeypatch: pytest.MonkeyPatch, granted: int, enough: bool
 ) -> None:
     class Limited(socket.socket):
-        """Linux caps what is asked for at net.core.rmem_max and wmem_max, and tells twice what it grants."""
+        """Linux limits a requested size to net.core.rmem_max and wmem_max, and reports twice the granted size."""
 
         def setsockopt(self, level: int, option: int, value: int) -> None:  # type: ignore[override]
             self.limit = min(value, granted)

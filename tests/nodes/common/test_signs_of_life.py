@@ -1,4 +1,4 @@
-"""A program of the graph tells bring-up each second that it works, and no longer when it is held up."""
+"""A program of the graph sends bring-up a sign of life each second, and none while it is held up."""
 
 from __future__ import annotations
 

@@ -34,7 +34,7 @@ pytestmark = pytest.mark.long
 
 
 class Program:
-    """A command line program beside the test's own nodes, in the same ROS domain."""
+    """A command-line program in the ROS domain of the test's own nodes."""
 
     def __init__(self, ros: Any, module: str, *arguments: str, changed: str = "") -> None:
         self.ros = ros
@@ -157,7 +157,7 @@ def test_each_step_of_a_sequence_is_told_although_the_whole_is_answered_first(ro
     sequences = ros.collect(probe, String, "/gantry/sequence", qos.COMMAND)
     steps = probe.create_publisher(DiagnosticArray, "/gantry/result", qos.RESULTS)
     answer = probe.create_publisher(DiagnosticArray, "/gantry/sequence_result", qos.RESULTS)
-    # It waits a second for the last step, within which a busy machine may not tell it.
+    # It waits a second for the last step, which a busy machine may not report within that time.
     program = Program(ros, "gantry_sequence", "press:RUN_STOP", "press:CH1_IN", changed="LAST_STEP_S = 20.0")
     ros.spin_until(lambda: sequences and answer.get_subscription_count() and steps.get_subscription_count(), 30.0)
     run_id = yaml.safe_load(sequences[0].data)["id"]

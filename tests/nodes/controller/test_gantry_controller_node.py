@@ -226,7 +226,7 @@ def test_what_a_camera_with_a_clock_ahead_has_seen_does_not_count(ros: Any) -> N
 
 
 def test_readings_that_no_machine_has_are_ignored(ros: Any) -> None:
-    """A way from there would take for ever, and did not fit the message."""
+    """A path from there would take forever, and did not fit the message."""
     bench = GantryBench(ros, {"joints_timeout_s": 1.0})
     bench.spin_until_state("waiting: not calibrated")
     bench.connect_goals()

@@ -190,7 +190,8 @@ def rig_that_waits_for_a_check(ros: Any) -> Rig:
 
 
 def test_a_stop_that_was_reset_while_the_sequencer_was_held_up_ends_it(ros: Any) -> None:
-    """Only the newest state was kept for a node that was held up: it never heard of the stop, and pressed on."""
+    """Only the newest state was kept for a node that was held up: it never received the stop, and continued to
+    press."""
     rig = rig_that_waits_for_a_check(ros)
     rig.state.publish(String(data="stopped: operator"))
     rig.state.publish(String(data="ready"))
@@ -232,14 +233,14 @@ def test_a_clock_that_was_set_back_ends_it_at_once_and_not_when_the_time_has_com
     clock = rig.node.get_clock()
     now = clock.now()
     clock._set_ros_time_is_active(True)
-    # The whole of what follows takes less than the minute: for a timer of this clock no time passes.
+    # All following steps take less than the minute: for a timer of this clock no time passes.
     clock.set_ros_time_override(now - Duration(seconds=60.0))
     ended = rig.final("mine")
     assert ended.outcome is Outcome.ABORTED and "the clock jumped back by " in ended.reason
 
 
 def test_without_a_controller_it_is_refused_and_nothing_is_sent_later(ros: Any) -> None:
-    """Just after its start the sequencer has not found the controller yet; the first command went to nobody."""
+    """Just after its start the sequencer has not found the controller yet; the first command reached no program."""
     node = ros.node(SequenceNode, {})
     probe = ros.plain()
     answers = ros.collect(probe, DiagnosticArray, "sequence_result", qos.RESULTS)
@@ -273,7 +274,7 @@ def test_without_a_controller_it_is_refused_and_nothing_is_sent_later(ros: Any) 
 
 
 def test_a_sequencer_that_was_held_up_gives_no_step_that_nobody_expects_any_more(ros: Any) -> None:
-    """Whoever gave it was told long ago that no answer came, and may be at work by hand, or in the room."""
+    """Its sender received "no answer" long ago, and may be working by hand, or in the room."""
     rig = Rig(ros, check_s=5.0)
     done = GoalResult(goal_id="", goal="", outcome=Outcome.REACHED)
     red = PanelSeen(stamp_ns=0, controls=(ControlSeen(name="RUN_STOP", kind="button", lamp="red"),))

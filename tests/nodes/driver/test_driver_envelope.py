@@ -25,7 +25,8 @@ PLANE = PanelPlane(at_m=(0.18, 0.11, FACE_M), slope=(0.0, 0.0), covariance=(1e-8
 
 
 class Panel:
-    """Who moves the machine, under the controller's name unless another is given, and how deep the stylus has been."""
+    """The program that moves the machine, under the controller's name unless another is given, and the deepest position
+    of the stylus."""
 
     def __init__(self, ros: Any, folder: Path, name: str, **parameters: Any) -> None:
         self.ros, self.board = ros, GrblBoard(folder)

@@ -136,7 +136,7 @@ def test_the_loss_of_a_silent_board_is_told_before_its_port_is_closed(
 def test_a_link_that_is_closed_before_the_machine_is_at_rest_says_so(
     start: Start, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A board that hears nothing gets as long as a hold may take, and the rest of the way out."""
+    """A board that receives nothing gets as long as a hold may take, and the rest of the way out."""
     monkeypatch.setattr(serial_link, "WAY_OUT_S", 0.5)
     board, rig = start(config=dataclasses.replace(PATIENT, hold_timeout_s=1.0))
     rig.home()
@@ -151,7 +151,7 @@ def test_a_link_that_is_closed_before_the_machine_is_at_rest_says_so(
 
 
 def test_nothing_goes_on_when_a_computer_that_slept_wakes(start: Start, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The clock of the heartbeat's age stood still meanwhile: a motion went on after hours."""
+    """The clock of the heartbeat's age was stopped meanwhile: a motion continued after hours."""
     _, rig = start()
     rig.home()
     assert rig.go((0.3, 0.2, 0.0), slow_after=0).outcome.value == "accepted"
@@ -252,7 +252,7 @@ def test_a_missing_port_is_named_and_taken_when_it_appears(tmp_path: Path) -> No
 
 
 def test_stop_byte_is_on_the_wire_within_ten_milliseconds() -> None:
-    """The other end of a pseudo-terminal sees ``!`` although nobody answers and lines are waiting."""
+    """The other end of a pseudo-terminal gets ``!`` although no program answers and lines are waiting."""
     master, slave = pty.openpty()
     tty.setraw(slave)
     rig = LinkRig(os.ttyname(slave), DriverConfig(connect_timeout_s=60.0))
@@ -335,7 +335,7 @@ def test_stops_during_the_retreat_let_it_finish(start: Start) -> None:
 
 @pytest.mark.parametrize(("dialect", "told", "buffer"), [("grblHAL", 1024, 1024), ("FluidNC", 128, 256)])
 def test_dialects_are_told_apart_and_driven_alike(tmp_path: Path, dialect: str, told: int, buffer: int) -> None:
-    """The receive buffer is the one that the board names; one that names none is taken for GRBL's."""
+    """The receive buffer is the one that the board names; without a name, GRBL's is assumed."""
     board = GrblBoard(tmp_path, "--dialect", dialect, "--start=-350,-210,-2")
     rig = LinkRig(board.port)
     try:

@@ -37,7 +37,8 @@ from icu_common.nodes.qos import RESULTS
 
 pytestmark = [pytest.mark.long, pytest.mark.alone]  # the board and the driver keep real time
 SLOW_M_S = 0.03
-"""Of a way on which the machine is stopped: it must not have ended, be it that who stops it is held up for seconds."""
+"""Length of a path on which the machine is stopped: it must not have ended, even if the stopping program is held up for
+seconds."""
 
 
 @pytest.fixture
@@ -390,7 +391,7 @@ def test_a_signal_to_end_holds_lifts_and_ends(number: signal.Signals, ros: Any, 
 
 def test_lifecycle_from_unconfigured_to_active_and_back(operator: Callable[..., Operator]) -> None:
     """The services that ``ros2 lifecycle`` calls; topics and services of the driver are there in every state."""
-    op = operator(autostart=False, enabled_at_start=True, feed_m_s=0.03)  # long under way when it is deactivated
+    op = operator(autostart=False, enabled_at_start=True, feed_m_s=0.03)  # still moving for long when it is deactivated
 
     def change(label: str) -> bool:
         request = ChangeState.Request(transition=Transition(label=label))
@@ -479,7 +480,7 @@ def test_a_transport_that_stalls_delays_no_stop(operator: Callable[..., Operator
         publish(message)
 
     driver._joint_states.publish = stall
-    op.go((0.051, 0.0, 0.0), (0.35, 0.0, 0.0), last_m_s=SLOW_M_S)  # long under way when it is stopped
+    op.go((0.051, 0.0, 0.0), (0.35, 0.0, 0.0), last_m_s=SLOW_M_S)  # still moving for long when it is stopped
     op.until(lambda: op.board.mpos()[0] > HOMED[0] + 50)
     op.stop.publish(Empty())
     op.until(lambda: any(e["kind"] == "realtime" and e["byte"] == ord("!") for e in op.board.log()))

@@ -74,7 +74,7 @@ class Terminal:
                 assert printed(self.seen), self.seen[-600:]
 
     def until_line(self, number: int) -> None:
-        """Wait until so many lines of the program are done; a held-up one does not tell each number."""
+        """Wait until this number of lines of the program is done; a held-up program does not report each number."""
         self.until(lambda seen: any(int(done) >= number for done in re.findall(r"(\d+)/\d+ lines", seen)))
 
     def type(self, keys: str) -> None:
@@ -175,7 +175,7 @@ def test_a_dry_run_moves_nothing_and_names_what_the_board_refuses(
 
 @pytest.mark.parametrize("how", ["whole", "interrupted"])
 def test_a_dry_run_leaves_a_locked_board_locked(tmp_path: Path, program: Callable[..., Path], how: str) -> None:
-    """Nobody has homed it: unlocked, it would take moves from a position that it does not know."""
+    """It has not been homed: unlocked, it would accept moves from a position that it does not know."""
     board = GrblBoard(tmp_path, "--keep-running")
     try:
         start = board.mpos()
@@ -261,7 +261,7 @@ def test_a_dry_run_resets_a_board_that_opening_its_port_does_not_reset(
 def test_a_dry_run_that_ends_in_an_alarm_leaves_the_board_as_after_a_reset(
     tmp_path: Path, program: Callable[..., Path]
 ) -> None:
-    """For half a second after ALARM:2 a board hears no reset; without one it answers nothing any more."""
+    """For half a second after ALARM:2 a board ignores a reset; without one it answers nothing any more."""
     board = GrblBoard(tmp_path, "--keep-running", "--set", "130=200")
     try:
         code, output = run(str(program("G53 G1 X-300 Y-100 F9000")), "--port", str(board.port), "--dry-run")

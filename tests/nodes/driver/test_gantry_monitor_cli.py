@@ -1,4 +1,4 @@
-"""gantry_monitor beside the real driver and a mock board: the line that a person sees."""
+"""gantry_monitor with the real driver and a mock board: the line that a person sees."""
 
 from __future__ import annotations
 

@@ -76,7 +76,7 @@ def panel_pose() -> Transform:
 
 
 class Graph:
-    """Everything around the bridge: publishers of what it shows, and lists of what it sends."""
+    """Everything around the bridge: publishers of the topics that it shows, and lists of the messages that it sends."""
 
     def __init__(self, ros: Any) -> None:
         self.ros = ros
@@ -290,7 +290,7 @@ def test_recorders_that_somebody_else_has_started_are_told(ros: Any) -> None:
     node = ros.node(BridgeNode, {"port": 0, "token_file": ""}, namespace="/bed_1")
     told = lambda: [one["program"] for one in node._desk.recordings.message(1e9)]  # noqa: E731
     others = {name: ros.plain(name) for name in ("bag_recorder", "rosbag2_recorder", "bag_player")}
-    ros.plain(node._server.recorder.node_name)  # its own is told by whom it was started
+    ros.plain(node._server.recorder.node_name)  # its own names the user who started it
     ros.spin_until(lambda: len(told()) == 2, WITHIN_S, told)
     assert sorted(told()) == ["/bag_recorder", "/rosbag2_recorder"]
     gone = others["bag_recorder"]
@@ -301,7 +301,7 @@ def test_recorders_that_somebody_else_has_started_are_told(ros: Any) -> None:
 
 @pytest.fixture
 def bridge(ros: Any, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> Any:
-    """The bridge in a graph that it is matched with, and a page that is signed in and hears of the state."""
+    """The bridge, connected with its graph, and a page that is signed in and receives the state."""
     graph = Graph(ros)
     parameters = {"port": 0, "token_file": str(tmp_path / "token"), "audit_file": str(tmp_path / "audit.jsonl")}
     patient = {
@@ -441,7 +441,7 @@ def test_the_page_shows_what_the_topics_say(ros: Any, bridge: Any) -> None:
 
 
 def test_the_other_camera_is_heard_only_while_a_page_shows_it(ros: Any, bridge: Any) -> None:
-    """Each reader of a camera costs it and the bridge a tenth of a processor, beside which the heartbeat is late."""
+    """Each reader of a camera costs it and the bridge a tenth of a processor, which delays the heartbeat."""
     graph, browser, _, _ = bridge
     shown(ros, graph, browser)
     right = graph.probe.create_publisher(Image, "right/image_raw", qos.IMAGES)

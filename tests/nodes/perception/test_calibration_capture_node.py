@@ -93,7 +93,7 @@ def test_still_and_new_moments_are_kept_from_both_cameras(ros: Any, tmp_path: Pa
 def test_a_live_calibration_ends_with_one_line_in_the_background_too(
     ros: Any, tmp_path: Path, number: signal.Signals
 ) -> None:
-    """A shell lets what it starts with ``&`` ignore SIGINT; rclpy hears it nevertheless."""
+    """A shell makes programs that it starts with ``&`` ignore SIGINT; rclpy handles it nevertheless."""
     program = "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN)\n"
     program += "from harris_perception.cli.calibrate import main; raise SystemExit(main())"
     process = subprocess.Popen(

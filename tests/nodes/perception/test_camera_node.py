@@ -140,7 +140,7 @@ def test_a_calibration_of_another_size_is_refused_and_said(ros: Any, tmp_path: P
 
 
 def test_a_camera_that_has_fallen_silent_is_no_running_one(ros: Any, tmp_path: Path) -> None:
-    """It is opened anew much later; until then the diagnostics said that all was well."""
+    """It is reopened much later; until then the diagnostics reported that all was well."""
     server = FrameServer(tmp_path / "bench.sock")
     path = calibration(tmp_path / "left.yaml")
     rig = Rig(ros, tmp_path, read_timeout_s=60.0, left_calibration=path, right_calibration=path)

@@ -61,7 +61,7 @@ class Rig:
         self.node = ros.node(DenseStereoNode, LIMITS | parameters)
 
     def read(self, kind: Any, topic: str) -> list[Any]:
-        """Subscribe, and wait until the node has noticed and listens to the pictures itself."""
+        """Subscribe, and wait until the node has detected it and subscribes to the images itself."""
         received: list[Any] = self.ros.collect(self.probe, kind, topic, qos.IMAGES)
         self.ros.spin_until(lambda: self.node.count_subscribers(topic) and self.pictures_wanted(), WITHIN_S)
         self.ros.spin_until(lambda: self.probe.count_publishers(topic), WITHIN_S)

@@ -146,7 +146,7 @@ def test_run_calibrates_publishes_and_saves(ros: Any, tmp_path: Path) -> None:
     assert 0 < kept.held_out_m < 0.001
     heights = {round(g.point.z, 4) for g in rig.goals}
     assert heights == {0.0, -0.016, -0.006}
-    # Two places at the lower end of each axis, which the controller enters from above, tell the backlash.
+    # Two positions at the lower end of each axis, which the controller enters from above, show the backlash.
     assert [sum(value(g.point) == 0.0 for g in rig.goals) for value in (lambda p: p.x, lambda p: p.y)] == [2, 2]
     assert np.abs(kept.backlash_m).max() < 0.0002, "this machine has none"
     assert (kept.backlash_sigma_m > 0).all()
@@ -342,7 +342,7 @@ def test_calibration_in_use_is_withdrawn_when_the_camera_has_none_any_more(ros: 
     rig = Rig(ros, calibration_file=str(path), machine="bench")
     rig.cameras()
     ros.spin_until(lambda: rig.state.startswith("calibrated") and rig.axes, 10.0)
-    # What the camera node says of pictures in another resolution than that of its calibration.
+    # Message of the camera node about images in another resolution than that of its calibration.
     rig.infos[0].publish(CameraInfo(header=header(2, CAMERA_LEFT), width=640, height=480))
     ros.spin_until(lambda: rig.state.startswith("failed") and not rig.axes[-1].data, 10.0, lambda: rig.state)
     assert rig.state == (

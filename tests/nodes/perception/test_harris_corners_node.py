@@ -35,7 +35,7 @@ def square(encoding: str = "mono8") -> np.ndarray:
 
 
 class Rig:
-    """A corners node, a publisher of pictures and the lists of what came out."""
+    """A corners node, a publisher of images and the lists of its results."""
 
     def __init__(self, ros: Any, parameters: dict[str, Any] | None = None, made_by: Any = CornersNode) -> None:
         self.ros = ros
@@ -93,8 +93,8 @@ def test_no_unit_of_floats_loses_corners_and_what_float32_does_not_hold_is_its_l
 
 
 def test_bayer_patterns_are_told_apart(ros: Any) -> None:
-    # A red square on black: only the sites under the red filter are bright, and every pattern must show one square
-    # whose grey value is red's weight (0.299), which a wrong pattern would take for green or blue.
+    # A red square on black: only the sites under the red filter are bright. Every pattern must show one square whose
+    # grey value is red's weight (0.299); a wrong pattern would show green or blue.
     rig = Rig(ros)
     node_view: list[Image] = ros.collect(rig.probe, Image, "corners_image", qos.IMAGES)
     ros.spin_until(lambda: rig.probe.count_publishers("corners_image") == 1, 10.0)
@@ -203,7 +203,7 @@ def test_only_the_newest_picture_is_worked_on_and_the_others_are_counted(ros: An
     reports: list[DiagnosticArray] = ros.collect(rig.probe, DiagnosticArray, "/diagnostics", qos.RESULTS)
     rig.images.publish(image_message(square(), "mono8", header(1, "c")))
     rig.corners_of(image_message(square(), "mono8", header(2, "c")))
-    for stamp in range(3, 10):  # nobody spins meanwhile: the node is "busy"
+    for stamp in range(3, 10):  # no thread spins meanwhile: the node is "busy"
         rig.images.publish(image_message(square(), "mono8", header(stamp, "c")))
     rig.corners_of(image_message(square(), "mono8", header(10, "c")))
     stamps = [stamp_ns(c.header.stamp) for c in rig.clouds]
@@ -291,7 +291,7 @@ def test_outlines_see_colors_of_one_lightness(ros: Any) -> None:
 
 
 def test_outlines_end_at_the_same_corners_in_colored_light_of_16_bits(ros: Any) -> None:
-    """The grey picture is four times as dark as the colors, so it fills fewer bits."""
+    """The grey image is four times as dark as the colours, so it fills fewer bits."""
     rng = np.random.default_rng(5)
     light = np.kron(rng.integers(40, 220, (4, 5)), np.ones((32, 32))) + rng.normal(0.0, 0.5, (128, 160))
     light += 10.0 * (np.indices((128, 160)) // 8 % 2).prod(axis=0)  # too faint for an edge to end there

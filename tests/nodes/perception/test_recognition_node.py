@@ -85,7 +85,7 @@ def test_a_glint_in_pictures_of_12_bits_is_no_change_of_a_screen(ros: Any) -> No
     states: list[DiagnosticArray] = ros.collect(rig.probe, DiagnosticArray, "state", qos.RESULTS)
     ros.spin_until(lambda: rig.probe.count_publishers("state"), 10.0)
     dark = picture().astype(np.uint16) * 4  # a quarter of the full light
-    # Of 10 bits, as far as a single picture tells; with the glint of 11.
+    # Of 10 bits, as far as a single image shows; with the glint of 11.
     for number, glint in enumerate([1000] * 6 + [1100] * 3 + [1000] * 3, start=1):
         dark[0, 0] = glint
         rig.show(dark, number, encoding="bgr16")
@@ -98,7 +98,7 @@ def test_a_camera_that_loses_its_calibration_ends_the_poses(ros: Any) -> None:
     rig = Rig(ros, **{"recognition.agreement.frames": 1})
     assert rig.show(picture(seed=1), 1) > 0.85
     ros.spin_until(lambda: len(rig.poses) == 1, 10.0)
-    # What the camera node says when it has none for these pictures.
+    # Message of the camera node when it has none for these images.
     rig.infos.publish(CameraInfo(header=header(START + PERIOD, CAMERA_LEFT), width=1280, height=720))
     ros.spin_until(lambda: rig.node._camera is None, 10.0)
     assert rig.node.set_parameters([Parameter("silence_s", value=0.3)])[0].successful

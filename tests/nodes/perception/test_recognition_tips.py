@@ -1,4 +1,4 @@
-"""Recognition and the stylus: a picture is read by the tip of that very picture, or told to be hidden."""
+"""Recognition and the stylus: an image is read with the tip in that very image, or reported as hidden."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ pytestmark = pytest.mark.long
 
 BUTTON = LAYOUT.control("RUN_STOP")
 FRAME = 66_000_000
-"""Between two pictures, of which recognition looks at every fourth or so, and the tracker at all."""
+"""Between two images; recognition evaluates every fourth or so, and the tracker all."""
 
 
 class Watched(Rig):

@@ -31,7 +31,7 @@ CENTRE = np.array([0.07, 0.0, 0.62])
 
 
 def panel_pictures(seed: int = 1, stereo: StereoModel = STEREO) -> list[Any]:
-    """Return raw grey pictures of a textured plane through CENTRE with NORMAL: every raw pixel's ray meets it."""
+    """Return raw grey images of a textured plane through CENTRE with NORMAL: every raw pixel's ray meets it."""
     rng = np.random.default_rng(seed)
     texture = np.full((900, 1200), 150.0, np.float32)
     for _ in range(700):

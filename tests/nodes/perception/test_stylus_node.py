@@ -66,7 +66,7 @@ def test_the_tip_is_published_where_it_is_certain(ros: Any) -> None:
     ros.spin_until(lambda: any("(100, 800, 3)" in text for text in said()), WITHIN_S, said)
     ros.spin_until(lambda: "no pairs of pictures in the last second" in said()[-1], WITHIN_S, said)
     assert len(tips) == 2
-    # Of each picture that was looked at, one of both says what came of it; the first one came before the calibration.
+    # For each evaluated image, one of both has the result; the first one came before the calibration.
     looked = [2_000_000_000, 4_000_000_000, 5_000_000_000]
     assert [stamp_ns(head.stamp) for head in unseen if stamp_ns(head.stamp) > 1] == looked
     before = len(unseen)

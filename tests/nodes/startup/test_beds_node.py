@@ -34,7 +34,7 @@ def get(address: str) -> bytes:
 
 
 def test_a_picture_of_the_future_is_no_younger_than_its_time_here(ros: Ros) -> None:
-    """By its stamp alone the last picture of a camera whose clock is ahead would be live for that long."""
+    """By its stamp alone the last image of a camera whose clock is ahead would be live for that long."""
     node = ros.node(BedsNode, {"beds": ["bed_1"], "port": 0})
     eye = ros.plain("robot").create_publisher(Image, "/bed_1/stereo/left/image_raw", qos.IMAGES)
     ros.spin_until(eye.get_subscription_count, 10.0)

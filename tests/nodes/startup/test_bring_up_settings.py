@@ -1,4 +1,4 @@
-"""What ``bring_up --set`` gives reaches its node, also where a file for this node names another value."""
+"""The value of ``bring_up --set`` reaches its node, also where a file for this node names another value."""
 
 from __future__ import annotations
 

@@ -88,7 +88,7 @@ def test_a_wrong_value_ends_the_process_with_its_reason(ros: Ros, tmp_path: Path
 def test_a_parameter_file_that_cannot_be_read_ends_the_process_with_file_and_line(
     ros: Ros, tmp_path: Path, together: bool
 ) -> None:
-    """As bring-up's other lines are hidden, the reason must stand in the one that begins with "error:"."""
+    """As bring-up's other lines are hidden, the reason must be in the one that begins with "error:"."""
     wrong = tmp_path / "mine.yaml"
     wrong.write_text("/**:\n  ros__parameters:\n    travel_mm: [360.0, 220, 60.0]\n")
     given = ["--ros-args", "--params-file", str(wrong)]

@@ -110,7 +110,7 @@ def test_two_demos_run_side_by_side(computer: Computer, tmp_path: Path) -> None:
         logs = [(folder / "logs" / "bring_up.log").read_text() for folder in (state, state / "domain-1")]
         return [re.findall(r"\[gantry\.serial_driver\]: (\w+)", text)[-1] for text in logs]
 
-    # The log may come a moment after the preparation has heard the state.
+    # The log may come a moment after the preparation has received the state.
     wait_until(lambda: driver_states() == ["unhomed", "idle"], "only the second is homed", DEADLINE_S, driver_states)
     for text in (first, second):
         address = re.findall(r"http://\S+token=\S+", text)[0]

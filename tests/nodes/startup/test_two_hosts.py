@@ -26,7 +26,7 @@ pytestmark = pytest.mark.long
 ROOT = Path(__file__).resolve().parents[3]
 ROBOT, DESK = "198.51.100.1", "198.51.100.2"  # addresses for documentation (RFC 5737)
 LEASE_S = 10.0
-"""After so long without a sign DDS forgets a participant (fastdds_profile.xml)."""
+"""Seconds without a sign after which DDS forgets a participant (fastdds_profile.xml)."""
 
 
 def ip(*words: str) -> str:
@@ -141,7 +141,7 @@ class Desk:
             self.until(lambda line: str(line.get("state", "")).startswith(state), within_s)
 
     def ask(self, name: str, within_s: float = 20.0, **order: Any) -> None:
-        """Call a service until it says yes: discovery, a heartbeat or a lift may still be under way."""
+        """Call a service until it accepts: discovery, a heartbeat or a lift may still be in progress."""
 
         def accepted() -> bool:
             self.do(**(order or {"call": name}))
@@ -165,7 +165,7 @@ class Desk:
         return str(self.until(lambda line: "sent" in line, 5.0)["sent"])
 
     def goes(self, x_m: float, y_m: float, within_s: float = 20.0) -> None:
-        """Go there; the controller hears of the heartbeat and of the end of homing later than the desk perhaps."""
+        """Go there; the controller may get the heartbeat and the end of homing later than the desk."""
         early = ("rejected no operator heartbeat", "rejected the driver is 'homing', 'idle' is needed")
 
         def reached() -> bool:
@@ -258,11 +258,11 @@ def test_the_link_is_cut_and_restored(found_by: str, hosts: TwoHosts, tmp_path: 
         cut_s = time.monotonic()
         cut()
         holds = wait_until(lambda: board.holds()[len(before) :], "the driver holds", 20.0)
-        # By the board's clock: it does not matter when this process hears of it.
+        # By the board's clock: it does not matter when this process gets it.
         held_s = holds[0] + board.clock_s()[0] - cut_s
         print(f"{found_by}: hold {1e3 * held_s:.0f} ms after the cut")
         assert held_s < 1.0
-        if found_by == "peer":  # a server does not tell its clients that another one is gone
+        if found_by == "peer":  # a server does not inform its clients that another one has ended
             desk.until(lambda line: line.get("listeners") == 0, 4 * LEASE_S)
         resting_mm = board.at_rest()
         assert start_mm[0] < resting_mm[0] < start_mm[0] + 330.0, "it was held on its way"

@@ -69,7 +69,7 @@ def test_press_of_a_named_control_stops_the_scope(running_graph: Any, operator: 
     assert bench.ask(do="truth")["instrument"]["running"] is (not before)
     lines = motion_lines(running_graph, log_start)
     assert all(line.endswith(("G1", "G92")) for line in lines), lines
-    # Each frame begins where the stylus stands: so much above its deepest place, from the top on.
+    # Each frame begins at the stylus's position: this far above its deepest position, from the top on.
     deepest = -1.0 - sum(float(line.split("Z")[1].split("G")[0]) for line in lines if line.endswith("G92"))
     assert -40.0 < deepest < -25.0, "the stylus went down to the button, 3 mm above the panel's face at z = -35 mm"
     place = np.array(next(e["tip_base_m"] for e in events if e["event"] == "press")[:2]) * 1000
@@ -84,7 +84,7 @@ def test_press_of_a_named_control_stops_the_scope(running_graph: Any, operator: 
 
 @pytest.mark.browser
 def test_press_on_the_page_changes_the_scope(browser: Any, running_graph: Any) -> None:
-    """Nobody else is there: the heartbeat that lets the machine move is the page's."""
+    """No other operator is there: the heartbeat that allows motion is the page's."""
     bench = running_graph.bench()
     before = bench.ask(do="truth")["instrument"]["running"]
     truth_start = len(running_graph.truth_log())
@@ -104,7 +104,7 @@ def test_press_on_the_page_changes_the_scope(browser: Any, running_graph: Any) -
 
 
 def clear_of_tall_controls(x: float, y: float) -> bool:
-    """Tell whether a point is neither on a connector nor so near to a tall control's edge that it is refused."""
+    """Return whether a point is neither on a connector nor so near to a tall control's edge that it is rejected."""
     for control in LAYOUT.controls:
         distance = float(np.hypot(x - control.position_mm[0], y - control.position_mm[1]))
         radius = max(control.size_mm) / 2

@@ -1,7 +1,7 @@
 """The table of kills: any program of the running graph may die at any time.
 
-While bring-up is held, so that nothing comes back before it was missed, the others must say what is gone, and the
-machine must be safe; then bring-up starts it anew, and everything must work again.
+While bring-up is held, nothing returns before it was missed. Then the others must report what is gone, and the machine
+must be safe. After that bring-up restarts it, and everything must work again.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ GONE = r"{} has ended"
 
 @dataclass(frozen=True, kw_only=True)
 class Row:
-    """What is killed, when, and what must be said meanwhile and afterwards: patterns for (who says it, the text)."""
+    """The killed program, the moment, and the messages meanwhile and afterwards: patterns for (sender, text)."""
 
     killed: tuple[str, ...]
     during: str
@@ -105,7 +105,7 @@ class Scene:
         node, every = operator.node, keeping_all(qos.RESULTS)
         node.create_subscription(DiagnosticArray, "/diagnostics", self._diagnostics, every)
         node.create_subscription(Log, "/rosout", lambda m: self.heard.append((m.name, m.msg)), every)
-        # The stereo node only works for somebody.
+        # The stereo node only works while a program subscribes.
         node.create_subscription(PoseStamped, "/stereo/panel_plane", lambda m: None, qos.RESULTS)
         self._hear("controller", "/gantry/state")
         self._hear("driver", "/gantry/driver_state")
@@ -203,8 +203,8 @@ class Scene:
         pids, heard, log = self.pids(), len(self.heard), len(self.graph.output)
         assert set(row.killed) <= set(pids), (row.killed, pids)
 
-        # What is killed may hold up a heartbeat. The driver has stopped then, which others say instead; where the
-        # result is told, the row has to be played again.
+        # The killed program may hold up a heartbeat. The driver has stopped then, which others report instead; where
+        # the result is reported, the row has to be played again.
         states = len(self.operator.driver_states)
         held_up = "stopped: operator's heartbeat"
 
@@ -251,7 +251,7 @@ class Scene:
             self.operator.reset()
         if row.stays_homed:
             self.until(lambda: not unwell(), 25.0, lambda: f"{unwell()} do not report that they are well")
-        if "serial_driver" in row.killed:  # else its predecessor's services, which nobody serves, would be asked
+        if "serial_driver" in row.killed:  # else its predecessor's services, which no program serves, would be called
             restart = self.operator.driver_states
             # The guard keeps the port and the position for a node that starts in time.
             there = re.compile("unhomed|stopped: the driver's node has ended")
@@ -270,7 +270,7 @@ class Scene:
 
 
 def test_whoever_reads_pictures_asks_for_none_again(running_graph: Any, operator: Operator) -> None:
-    """A reliable reader of a fast topic that was started anew after a kill may hang for ever, in Fast DDS."""
+    """A reliable reader of a fast topic that was restarted after a kill may hang forever, in Fast DDS."""
     kinds = ("image_raw", "camera_info", "corners")
     topics = [f"/stereo/{side}/{kind}" for side in ("left", "right") for kind in kinds]
     expected = {

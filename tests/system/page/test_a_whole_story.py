@@ -1,8 +1,8 @@
 """A new user's whole way at the page, with the whole graph on the simulated bench; each step leaves a screenshot.
 
-Sign in, take control, calibrate with the guide, recognise, press, turn, run sequences, stop, hand over, record; an
-engineer at a tablet signs in by password, in German, teaches the panel and stops a motion; replay, and the replay seen
-through the taught panel. Started by ``make story``; the pictures are in ``artifacts/story``.
+Sign in, take control, calibrate with the guide, recognise, press, turn, run sequences, stop, hand over, record. An
+engineer at a tablet signs in by password, in German, teaches the panel and stops a motion. Then the replay, and the
+replay seen through the taught panel. Started by ``make story``; the pictures are in ``artifacts/story``.
 """
 
 from __future__ import annotations
@@ -321,7 +321,7 @@ def points_at(page: Any, u: float, v: float) -> None:
 
 
 def replays(browser: Any, folder: Path, graph: RunningGraph, tmp_path: Path, taught: Path) -> None:
-    # in a graph of its own, as somebody would look at it later
+    # in a graph of its own, as a person would look at it later
     environment = graph.environment | {"ROS_DOMAIN_ID": str(domain_of_worker(100, 40))}
     with playing(environment, folder, tmp_path, []) as address:
         viewer = Operator(browser, address)

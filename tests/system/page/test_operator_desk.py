@@ -151,7 +151,7 @@ def test_what_is_shown_already_changes_its_language_too(operator: Operator, inst
         instrument.tell("motion 1.5")
 
 
-# What the controller, the driver and the others say, as they put it together.
+# Messages of the controller, the driver and the others, as they compose them.
 REASONS = {
     "the driver is 'stopped: stop requested', 'idle' is needed": (
         "der Treiber ist 'gestoppt: Stop verlangt', er muss ruhen"
@@ -227,7 +227,7 @@ def test_nothing_is_taken_for_a_confirmation_that_was_none(operator: Operator, i
     assert page.inner_text("#selection-name") == "Channel 1 scale"
     page.click("#freeze")
     assert page.locator("#log tr").count() == rows, page.inner_text("#log")
-    # What is refused during a command is not said any more after it, if that was a second ago.
+    # A refusal during a command is not shown any more after it, if that was a second ago.
     instrument.tell("motion 60")
     operator.selects("RUN_STOP", "Run / Stop")
     operator.confirms()
@@ -238,7 +238,7 @@ def test_nothing_is_taken_for_a_confirmation_that_was_none(operator: Operator, i
     instrument.tell("motion 0.3")
     operator.sees("#last", "Press Run / Stop: done")
     operator.until(lambda: not page.inner_text("#refusal"), 15.0, lambda: page.inner_text("#refusal"))
-    # A page that is closed or loaded anew is not a hidden one; STOP, and nothing else, is hit while the help is open.
+    # A page that is closed or reloaded is not a hidden one; STOP, and nothing else, is hit while the help is open.
     operator.selects("MENU", "Menu")
     instrument.tell("motion 60")
     operator.confirms()
@@ -469,7 +469,7 @@ def test_a_page_that_was_held_up_itself_looks_at_what_came_before_it_judges(
 
 
 def test_what_was_pressed_while_the_page_was_held_up_is_not_done(operator: Operator) -> None:
-    """Nobody expects it any more; what stood there when it was pressed may have become something else."""
+    """No user expects it any more; the button may have another meaning than at the press."""
     page = operator.page
     rows = page.locator("#log tr:not(.nothing)")
     before = rows.count()
@@ -506,7 +506,8 @@ def test_what_was_pressed_while_the_page_was_held_up_is_not_done(operator: Opera
 
 
 def test_an_arrow_that_was_let_go_while_the_page_was_held_up_begins_nothing_more(operator: Operator) -> None:
-    """What the page does first when it goes on, asks anew or hears that the key is up, is else a matter of chance."""
+    """It is else a matter of chance whether the page first asks again or processes the key release when it
+    continues."""
     page = operator.page
     page.click("#tab-move")
     operator.until(lambda: page.is_enabled("[data-jog='1,0']"), 15.0, lambda: page.inner_text("#move-why"))
@@ -676,7 +677,7 @@ def test_the_outlines_are_those_of_the_camera_that_is_shown_also_when_pictures_a
 
 
 def test_a_picture_that_was_long_on_its_way_is_shown_as_old_as_it_is(browser: Any, instrument: Instrument) -> None:
-    """The connection of the pictures alone is slow, so that round trips on the other one do not tell."""
+    """The connection of the images alone is slow, so that round trips on the other one do not show it."""
     person = Operator(browser, instrument.new_address())
     page = person.page
     on_their_way: list[tuple[float, Any, Any]] = []
@@ -706,13 +707,13 @@ def test_a_picture_that_was_long_on_its_way_is_shown_as_old_as_it_is(browser: An
     ages: list[int] = []
     while time.monotonic() < end:
         ages.append(age_ms())
-        page.wait_for_timeout(20)  # lets the browser's events through
+        page.wait_for_timeout(20)  # allows the browser's events
     assert min(ages) >= 1450, ages
     person.leaves()
 
 
 def test_a_picture_from_before_the_computer_slept_is_not_shown_as_new(browser: Any, instrument: Instrument) -> None:
-    """The page's clock stands still then: to the page it is the bridge's that goes ahead, all at once."""
+    """The page's clock is stopped then: to the page the bridge's clock jumps ahead at once."""
     person = Operator(browser, instrument.new_address())
     page = person.page
     slept_s, hangs, answers, at_most = 0.0, False, 0, 1e9
@@ -938,7 +939,7 @@ def test_a_screen_reader_hears_of_requests_and_results_and_not_of_each_millimetr
     assert "look at the panel" in said and said.endswith("STOP: done."), "the one is not cut off by the other"
 
 
-# What is said at once when a stop ends a press: the bridge tells both ends in one go.
+# Texts that appear at once when a stop ends a press: the bridge reports both ends in one go.
 _TWO_ENDS = """async () => {
   const { desk } = await import('/page/connection/desk.js');
   const common = { wall_ms: Date.now(), who: 'Ada', error_mm: null, duration_s: null, effect: '' };
@@ -948,7 +949,7 @@ _TWO_ENDS = """async () => {
   ]) desk.link.dispatchEvent(new CustomEvent('log', { detail: { entry: { ...common, entry, ...own } } }));
   return document.getElementById('say-now').textContent.trim();
 }"""
-# What stands in live regions whenever they change, into `heard`.
+# Texts of live regions whenever they change, into `heard`.
 _HEAR = """() => {
   window.heard = [];
   const live = '[aria-live=polite], [aria-live=assertive], [role=status], [role=alert], output:not([aria-live=off])';
@@ -1101,7 +1102,7 @@ def test_moving_while_held_and_to_a_point(operator: Operator, instrument: Instru
     page.click("#tab-move")
     page.select_option("#jog-step", "5")
     operator.until(lambda: page.is_enabled("[data-jog='1,0']"), 15.0, lambda: page.inner_text("#move-why"))
-    # A position that nobody has told for a second is not shown.
+    # A position that no program has reported for a second is not shown.
     at = lambda: float(re.match(r"-?[\d.]+", operator.sees("#position-x", r"\d"))[0])  # noqa: E731
     start = at()
     named = lambda text: [row for row in page.locator("#log tr").all_inner_texts() if text in row]  # noqa: E731
@@ -1214,7 +1215,7 @@ def test_times_are_the_bridges_and_those_of_another_day_have_their_date(browser:
     )
 
     def time_of(days: int) -> str:
-        # Each time anew: an answer that was on its way sets the clock once more.
+        # Each time again: an answer in transit sets the clock once more.
         shown_ms = (at.timestamp() + days * 86_400) * 1e3
         page.evaluate("async ms => (await import('/page/connection/clock.js')).setClock(ms)", shown_ms)
         return str(page.inner_text("#log tr >> nth=0 >> td >> nth=0").replace("\xa0", " "))
@@ -1295,7 +1296,7 @@ def test_engineers_read_what_the_programs_say(operator: Operator, instrument: In
     assert page.evaluate(plotted, [[30, 40, 0], [580, 410, 0]]) == [[0, 0, 580, 410], [[30, 370], [580, 0]]]
 
 
-# What is written anew though it shows the same, while ten pictures are drawn.
+# Elements that are rewritten with the same text, while ten images are drawn.
 _REWRITTEN = """async () => {
   const { desk } = await import("/page/connection/desk.js");
   const shown = (nodes) => [...nodes].map((node) => node.outerHTML ?? node.data).join("");
@@ -1347,7 +1348,7 @@ _DRAWN = """() => { const stage = document.getElementById('stage').getBoundingCl
 def test_outlines_edges_and_the_way_are_seen_on_any_picture(
     operator: Operator, instrument: Instrument, tmp_path: Path
 ) -> None:
-    """WCAG 1.4.11 on pixels: along each line its bright colour lies beside dark, at least 3:1, whatever is below."""
+    """WCAG 1.4.11 on pixels: along each line its bright colour is next to dark, at least 3:1, whatever is below."""
     import cv2
     import numpy as np
 
@@ -1391,7 +1392,7 @@ def test_outlines_edges_and_the_way_are_seen_on_any_picture(
     print({layer: (len(found), round(min(found), 1)) for layer, found in seen.items()})
     assert {layer: min(found) for layer, found in seen.items() if min(found) < 3} == {}
     assert len(seen["layer-controls"]) > 20 and len(seen["layer-path"]) >= 2 and len(seen["layer-corners"]) > 50
-    # A picture that was under way when the layer was switched off does not bring it again.
+    # An image in transit when the layer was switched off does not show it again.
     page.evaluate(
         """async () => { const counts = window.counts = { edges: 0, pictures: 0 };
             const { desk } = await import('/page/connection/desk.js');

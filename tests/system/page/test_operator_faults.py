@@ -19,7 +19,7 @@ pytestmark = [pytest.mark.browser, pytest.mark.system, pytest.mark.alone, pytest
 
 
 class Room:
-    """The rig with an operator, whose page comes by the link, and a witness beside."""
+    """The rig with an operator, whose page comes by the link, and a witness in addition."""
 
     def __init__(self, rig: MachineRig, browser: Any) -> None:
         self.rig, self.browser = rig, browser
@@ -46,10 +46,10 @@ class Room:
         return Operator(self.browser, self.rig.new_address(), locale="de-DE")
 
     def moves(self) -> int:
-        """Begin a long move; return the board's log number and the time at which it is under way."""
+        """Begin a long move; return the board's log number and the time at which it is in progress."""
         operator = self.operator
         operator.until(lambda: operator.page.is_enabled("#go"), 10.0, lambda: operator.page.inner_text("#move-why"))
-        far = float(operator.sees("#position-x", r"\d").split()[0]) < 170  # one that is not told is a dash
+        far = float(operator.sees("#position-x", r"\d").split()[0]) < 170  # one that is not reported is a dash
         operator.page.fill("#go-x", "340" if far else "10")
         operator.page.fill("#go-y", "20")
         operator.insists(lambda: operator.page.click("#go"))

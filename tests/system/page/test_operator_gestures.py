@@ -31,7 +31,7 @@ def _short(instrument: Instrument) -> None:
 
 @pytest.fixture
 def person(operator: Operator) -> Iterator[Operator]:
-    """Somebody in control who leaves the machine ready for the next one."""
+    """An operator in control who leaves the machine ready for the next one."""
     yield operator
     operator.sees("#chip-driver", "Idle")
     operator.sees("#chip-controller", "Ready")
@@ -130,7 +130,7 @@ def test_a_line_is_drawn_clicked_and_given_by_numbers(person: Operator) -> None:
 
     page.keyboard.press("d")  # by keyboard alone
     page.keyboard.press("d")
-    # By its answer: the name stands there already, and what is chosen anew proposes its line once more.
+    # By its answer: the name is there already, and a new choice proposes its line once more.
     person.insists(lambda: page.select_option("#chooser", "SCREEN"))
     person.sees("#selection-name", "Screen")
     page.focus("#draw-card summary")
@@ -287,7 +287,7 @@ def test_a_sequence_is_collected_followed_and_stopped(
     person.sees("#sequence-steps [data-state=failed]", "press:MENU")
 
 
-# What is said of a sequence of which the sequencer has not spoken yet.
+# Text about a sequence that the sequencer has not reported yet.
 _SENT = """async () => {
   const { renderSequence, setSequence } = await import('/page/orders/sequence.js');
   setSequence({ name: '', status: 'sent', number: 0, steps: ['press:MENU', 'press:SAVE'], reason: '', state: 'idle' });
@@ -364,7 +364,7 @@ def test_steps_that_were_written_are_back_after_a_reload_and_start_nothing(
     comes_back(steps)
     comes_back("", other)
     other.close()
-    # What was begun with them bears its marks after a reload, too.
+    # Steps that were begun with them keep their marks after a reload, too.
     person.takes_control()
     page.click("#tab-sequence")
     page.fill("#sequence-text", "press:MENU\npress:RUN_STOP")
@@ -384,7 +384,7 @@ def test_steps_that_were_written_are_back_after_a_reload_and_start_nothing(
         comes_back("")
 
 
-# What is kept of the steps becomes something else.
+# The stored steps change into other ones.
 _SPOIL = """(change) => {
   for (const store of [sessionStorage, localStorage]) {
     store.setItem(Object.keys(store).find((key) => key.startsWith('steps')), change);

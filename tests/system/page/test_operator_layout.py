@@ -24,8 +24,8 @@ SIZES = {
     "desktop with larger letters": (1280, 800),
 }
 
-# The places of all that can be clicked, by a name and number of each, while the page believes something: nothing that
-# the bridge tells meanwhile comes between.
+# Positions of everything that can be clicked, by a name and number of each, while the page is given a state: no message
+# of the bridge comes between.
 _PLACES = """async (what) => {
   const { desk } = await import('/page/connection/desk.js');
   const before = desk.state;
@@ -65,7 +65,7 @@ _PLACES = """async (what) => {
   told({});
   return places;
 }"""
-# What has the focus, if the head lies over all of it.
+# The focused element, if the head lies over all of it.
 _UNDER_HEAD = """() => {
   const { bottom } = document.activeElement.getBoundingClientRect();
   const under = bottom <= document.querySelector('.top').getBoundingClientRect().bottom;
@@ -103,7 +103,7 @@ def test_no_banner_moves_what_can_be_clicked(browser: Any, instrument: Instrumen
                 page.evaluate("scrollTo(0, 0)")
                 assert page.evaluate(_OUT_OF_SIGHT, ["#stop", "#stage", "#verdict"]) == [], f"at {view}"
             page.set_viewport_size({"width": width, "height": height})
-            # Who scrolled down to calibrate, then selects in the picture, sees what is selected and what comes of it.
+            # A user who scrolled down to calibrate, then selects in the picture, sees the selection and its result.
             page.evaluate("document.querySelector('.desk').scrollTop = 1e4")
             needed = ["#selection-name", "#verdict", "[data-act=press]"]
             assert len(page.evaluate(_OUT_OF_SIGHT, needed)) == len(needed)
@@ -215,7 +215,7 @@ def test_letters_of_twice_the_size_leave_all_of_the_head_in_reach(
     operator.leaves()
 
 
-# By how much the words beside the buttons are longer than their place.
+# Excess length of the words next to the buttons over their place.
 _CUT = "(({ scrollHeight, clientHeight }) => scrollHeight - clientHeight)(document.getElementById('verdict'))"
 _LONG_RESULT = """async () => {
   const { desk } = await import('/page/connection/desk.js');
@@ -224,7 +224,7 @@ _LONG_RESULT = """async () => {
   desk.link.dispatchEvent(new CustomEvent('log', { detail: { entry } }));
 }"""
 
-# What of these is not wholly in the window, or lies under something else in its middle.
+# Those of them that are not wholly in the window, or lie under another element in their middle.
 _OUT_OF_SIGHT = """(selectors) => selectors.flatMap((s) => [...document.querySelectorAll(s)])
   .filter((e) => e.checkVisibility())
   .filter((e) => {
@@ -287,7 +287,7 @@ def test_a_telephone_shows_picture_gestures_result_and_stop_at_once(
         operator.context.close()
 
 
-# A sequence at work and what a calibration tells, as the bridge would send them.
+# A running sequence and the report of a calibration, as the bridge would send them.
 _AT_WORK = """async () => {
   const { desk } = await import('/page/connection/desk.js');
   const steps = ['press:MENU', 'press:SINGLE', 'press:SAVE'];
@@ -386,7 +386,7 @@ def test_escape_stops_at_once_from_everywhere(operator: Operator) -> None:
     page.focus("#draw-card summary")
     keyboard.press("Enter")
     escapes("details")
-    # A browser that draws the list itself takes the press for its end, and lets the page know of its release alone.
+    # A browser that draws the list itself treats the press as the list's end, and reports only its release to the page.
     release = "new KeyboardEvent('keyup', { key: 'Escape', bubbles: true })"
     up = f"(id) => document.getElementById(id).dispatchEvent({release})"
     page.evaluate(up, "chooser")

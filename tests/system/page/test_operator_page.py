@@ -52,7 +52,7 @@ def strict_instrument(browser: Any, tmp_path: Path) -> Iterator[Instrument]:
 def test_where_there_is_no_control_the_list_of_controls_says_why(
     browser: Any, tmp_path: Path, topic: str, english: str, german: str
 ) -> None:
-    """It was an empty box, beside which the page asked for a click on a control."""
+    """It was an empty box, next to which the page asked for a click on a control."""
     instrument = Instrument(tmp_path, PATIENT, "--ros-args", "-r", f"{topic}:=elsewhere")
     try:
         operator = Operator(browser, instrument.address())
@@ -187,7 +187,7 @@ def test_the_stop_button_of_a_viewer_and_of_a_page_without_script(browser: Any, 
     stop = {"entry": 99, "wall_ms": 0, "who": "Operator 2", "action": "stop", "target": "", "status": "no_answer"}
     operator.page.evaluate(f"detail => {tell}", {"entry": {**stop, "reason": "", "error_mm": None, "duration_s": None}})
     operator.sees("#banner", "STOP has not got through. Use the wired emergency stop")
-    instrument.tell("driver unhomed")  # it was started anew, at rest
+    instrument.tell("driver unhomed")  # it was restarted, at rest
     viewer.sees("#banner", "Moving")
     instrument.tell("deaf 0")
     viewer.page.click("#stop")
@@ -309,7 +309,7 @@ def test_an_old_picture_is_shown_as_such_and_moves_nothing(browser: Any, strict_
     page.keyboard.press("Enter")
     assert "Press" not in page.inner_text("#log")
     operator.sees("#banner", "picture is old")
-    # None has come to the bridge for a second, be it that the last one was late: else it stops what begins.
+    # None has come to the bridge for a second, even if the last one was late: else it stops a motion that begins.
     operator.sees("#stale", r"STALE · ([3-9]|\d\d)")
     instrument.tell("driver homing")  # which needs no picture
     operator.sees("#banner", "Moving, and the live picture is old. STOP or Esc stops it")
@@ -418,7 +418,7 @@ def test_words_can_be_read_and_buttons_can_be_hit(browser: Any, instrument: Inst
         operator.leaves()
 
 
-# What lies under the middle of each control is that control, however small the picture is.
+# The element under the middle of each control is that control, however small the picture is.
 _HIT_BY_OTHERS = """() => {
   document.getElementById('stage').scrollIntoView({ block: 'center' });
   return [...document.querySelectorAll('#controls [data-kind=button], #controls [data-kind=knob]')].map((button) => {
@@ -428,7 +428,7 @@ _HIT_BY_OTHERS = """() => {
   }).filter(Boolean);
 }"""
 
-# Whatever is seen of them, controls are told apart by their whole names.
+# Controls are distinguished by their whole names, even where only a part of the control is seen.
 _CUT_NAMES = """async () => {
   const { setPanel, renderPanel } = await import('/page/picture/panel_seen.js');
   const shown = [1, 2].map((n) => ({ name: `CH${n}_POSITION`, label: `Channel ${n} position` }));
@@ -440,7 +440,7 @@ _CUT_NAMES = """async () => {
     .map((e) => `${e.textContent}: ${e.scrollWidth} in ${e.clientWidth} px`);
 }"""
 
-# In how many lines a result's word stands beside a long name, and how much wider than its place the log is.
+# Number of lines of a result's word next to a long name, and the excess width of the log.
 _BROKEN_RESULT = """() => {
   const row = document.querySelector('#log tr'), log = document.querySelector('.log-rows');
   if (innerWidth < 620) log.style.width = '298px'; // as on a telephone of 360 px

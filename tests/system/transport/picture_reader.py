@@ -1,4 +1,4 @@
-"""A process of its own that receives pictures and prints what came, for the test of the transport."""
+"""A process of its own that receives images and prints them, for the test of the transport."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The proxy between driver and board: it passes every byte on, and damages one in as many as it is told to."""
+"""The proxy between driver and board: it passes every byte on, and damages one in each given number of them."""
 
 from __future__ import annotations
 

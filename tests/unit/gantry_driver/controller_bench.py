@@ -104,13 +104,13 @@ class Bench:
         self.answer: Outcome = Outcome.REACHED
         self.answer_reason = ""
         self.on_phase: dict[Phase, Callable[[Bench], None]] = {}
-        # What the controls show, for tests that let them be seen ("state" in talking).
+        # States of the controls, for tests that make them visible ("state" in talking).
         self.knob_deg = 20.0
         self.knob_slips = 0.0
         self.lamp = "green"
         self.dazzle_m = 0.0  # so near to RUN_STOP its lamp, if it shines, hides the tip
         self.hidden: dict[str, str] = {}
-        self.state_late_s = 0.0  # so long after its picture comes what is seen of the controls
+        self.state_late_s = 0.0  # delay from an image to the states of the controls in it
         self.screen_changed_ns = 0
         self.actions: list[msg.Action] = []
         self.lowest: list[Array] = []
@@ -118,7 +118,7 @@ class Bench:
         self._steps = 0
         self._states: deque[PanelSeen] = deque()
 
-    # What the controller is told
+    # Inputs of the controller
 
     def tell(self, event: msg.Event) -> None:
         before = self.controller.phase
@@ -310,7 +310,7 @@ class Bench:
 
 
 class RidingBench(Bench):
-    """The same with the cameras on the carriage; the panel's pose is told by way of them."""
+    """The same with the cameras on the carriage; the panel's pose is given by way of them."""
 
     def __init__(self, config: ControllerConfig | None = None, seed: int = 1) -> None:
         super().__init__(config or ControllerConfig(camera_on_carriage=True), seed)

@@ -73,7 +73,7 @@ class Rig:
 
 
 class RestlessMachine:
-    """What the guard asks of a machine that presses."""
+    """Requirements of the guard for a machine that presses."""
 
     moves_or_presses = may_be_down = True
     at_rest = False

@@ -1,4 +1,4 @@
-"""A mock board on a test clock: send bytes, let time pass, read what came; nobody waits."""
+"""A mock board on a test clock: send bytes, advance the time, read the answers; without real waiting."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """A small board in virtual time for the pure tests: enough of GRBL 1.1 to answer, move, hold, reset and lose bytes.
 
-The emulation that the node tests use is the program mock_grbl; this one is a page that can be read beside a test.
+The emulation that the node tests use is the program mock_grbl; this one is a page that can be read next to a test.
 """
 
 from __future__ import annotations
@@ -266,7 +266,7 @@ class Board:
         self._answer(text)
 
     def _set_modes(self, text: str) -> None:
-        """Note what ``$G`` tells."""
+        """Record the reports of ``$G``."""
         for name, pattern in (
             ("motion", r"G(?:80|1)(?!\d)"),
             ("spindle", r"M[35]"),

@@ -54,7 +54,7 @@ def pose(
 
 @dataclass(frozen=True)
 class Look:
-    """What stands between the truth and the picture."""
+    """Effects between the truth and the image."""
 
     noise: float = 2.0
     blur_px: float = 0.6
@@ -101,7 +101,7 @@ class _View:
 
 
 def picture(layout: PanelLayout, model: CameraModel, camera_from_panel: Transform, look: Look, seed: int) -> Any:
-    """Return the raw grey picture, (H, W) uint8."""
+    """Return the raw grey image, (H, W) uint8."""
     rng = np.random.default_rng(seed)
     size, scale = (model.width, model.height), _TEXTURE_PX_PER_MM
     view = _View(model, camera_from_panel)

@@ -54,7 +54,7 @@ def pair_covariance(tip: np.ndarray, sigma_px: float) -> np.ndarray:
 def measured_face(
     pose: Transform, rng: np.random.Generator | None = None, sigma_px: float = 0.0, count: int = 80, part: float = 1.0
 ) -> FacePoints:
-    """Return points of a face of 0.32 m by 0.15 m, of which a ``part`` in x is seen, measured across one direction."""
+    """Return points of a face of 0.32 m by 0.15 m, measured across one direction; a ``part`` in x of it is seen."""
     rng = np.random.default_rng(11) if rng is None else rng
     places = rng.uniform((0.0, 0.0), (0.32 * part, 0.15), (count, 2)) + (rng.uniform(0, 0.32 * (1 - part)), 0.0)
     angle = rng.uniform(0, np.pi, count)

@@ -44,7 +44,7 @@ def stereo_model(width: int = 800, height: int = 480, focal: float = 1700.0) -> 
 
 @dataclass(frozen=True, kw_only=True)
 class Look:
-    """What varies between scenes; lengths in metres, colours BGR."""
+    """Values that vary between scenes; lengths in metres, colours BGR."""
 
     ball: tuple[float, float, float] = (190.0, 25.0, 225.0)
     shaft: tuple[float, float, float] = (32.0, 30.0, 30.0)

@@ -19,7 +19,7 @@ PYTHON = [sys.executable, "-u", "-S", "-c"]
 
 @pytest.fixture(autouse=True)
 def interruptible() -> Iterator[None]:
-    """A shell that starts the tests in its background lets them, and what they start, ignore SIGINT."""
+    """A shell that starts the tests in its background makes them, and the programs that they start, ignore SIGINT."""
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     yield
     signal.signal(signal.SIGINT, before)

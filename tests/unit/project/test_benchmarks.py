@@ -1,4 +1,4 @@
-"""Benchmarks run by hand and seldom: does each still start? What most of them measure takes too long to be run here.
+"""Benchmarks run by hand and seldom: does each still start? Most of their measurements take too long to run here.
 
 Of all, the imports and the options are tried (names and arguments that are gone are mypy's to find). Those that time
 functions measure once, small and without photographs, and the latency's starts its processes for a few pictures.

@@ -1,7 +1,7 @@
 """No branch looks at the words of a message: programs decide by codes, and English is only for people.
 
-The test walks the syntax trees of all modules in ``src``. It reports a text of a message (a reason, a cause, an
-error's text, a state with its reason) that is searched, split, or compared with a constant, and a constant sentence
+The test walks the syntax trees of all modules in ``src``. It reports a text of a message (a reason, a cause, an error's
+text, a state with its reason) that is searched, split, or compared with a constant. It also reports a constant sentence
 that is compared with or searched in anything. Two messages may be compared with each other: a node does so to publish a
 state only when it changes.
 """

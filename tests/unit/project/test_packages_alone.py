@@ -24,7 +24,7 @@ from packaging.requirements import Requirement
 
 ROOT = Path(__file__).resolve().parents[3]
 BUILDERS = ("setuptools", "wheel")
-"""What pip needs to install a folder of sources; with a network it would fetch both."""
+"""Packages that pip needs to install a folder of sources; with a network it would fetch both."""
 INSTALL_WITHIN_S, RUN_WITHIN_S = 240.0, 600.0
 
 pytestmark = [pytest.mark.timeout(900), pytest.mark.long]  # the detector is compiled in a new environment
@@ -62,7 +62,7 @@ class Environment:
     def __init__(self, folder: Path, package: str, monkeypatch: pytest.MonkeyPatch) -> None:
         self.bin = folder / "venv" / "bin"
         sources = folder / "src"
-        for name in ("icu_common", package):  # building writes beside the sources
+        for name in ("icu_common", package):  # building writes next to the sources
             shutil.copytree(ROOT / "src" / name, sources / name, ignore=shutil.ignore_patterns("__pycache__", "*.egg*"))
         venv.create(folder / "venv", symlinks=True)
         site = Path(sysconfig.get_path("purelib", "venv", {"base": str(folder / "venv")}))

@@ -1,4 +1,5 @@
-"""What makes the project portable agrees with the code: package.xml, setup.py, workflow, containers, launch files."""
+"""Files that make the project portable agree with the code: package.xml, setup.py, workflow, containers, launch
+files."""
 
 from __future__ import annotations
 
@@ -259,7 +260,7 @@ def test_who_starts_the_graph_depends_on_the_packages_of_its_programs(profile: s
 def test_ros2_launch_starts_the_graph_that_bring_up_starts(
     profile: str, namespace: str, real_time: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The launch file is run against recording stand-ins; what it would start is what bring-up's table says."""
+    """The launch file runs with recording substitutes; it would start the programs of bring-up's table."""
     for name, module in launch_modules(ROOT).items():
         monkeypatch.setitem(sys.modules, name, module)
     monkeypatch.setenv("ROS_DOMAIN_ID", f"of {tmp_path.name} {os.getpid()}")  # names are held by this process

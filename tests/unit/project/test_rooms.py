@@ -83,7 +83,7 @@ def test_no_folder_of_tests_has_more_files_than_can_be_read() -> None:
 
 
 def test_no_test_module_imports_from_another() -> None:
-    """What several tests share is in a module of its own, which can be read and moved without those tests."""
+    """Code that several tests share is in a module of its own, which can be read and moved without those tests."""
     imported = [
         (path, name)
         for path in sorted(TESTS.rglob("*.py"))

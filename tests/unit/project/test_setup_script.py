@@ -45,7 +45,7 @@ echo "Successfully installed numpy"
 
 
 class Folder:
-    """A copy of what the script reads."""
+    """A copy of the files that the script reads."""
 
     def __init__(self, folder: Path) -> None:
         self.root, self.fake = folder / "robot", folder / "fake"

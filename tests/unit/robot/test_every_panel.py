@@ -1,6 +1,6 @@
 """Every button of every panel in config/scopes, pressed once by the whole robot with its cameras; truth is the bench's.
 
-CH3 of mso_dark_6 stands below a band of the ball's own colour: there the tip is measured beside it.
+CH3 of mso_dark_6 is below a band of the ball's own colour: there the tip is measured off it.
 """
 
 from __future__ import annotations

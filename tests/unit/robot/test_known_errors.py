@@ -1,7 +1,8 @@
 """Cameras that turn after the calibration, and panels that differ from their layout: no touch is confirmed wrongly.
 
-Truth is the bench's. A touch counts as confirmed wrongly if it is `reached` and the tip was farther from the middle of
-its control than the result states with 95 % probability, and by more than the tolerance of a good touch.
+Truth is the bench's. A touch counts as confirmed wrongly if it is `reached` and two limits are exceeded. The tip was
+farther from the middle of its control than the result states with 95 % probability, and by more than the tolerance of a
+good touch.
 """
 
 from __future__ import annotations

@@ -42,7 +42,7 @@ def scene() -> Scene:
 
 
 class Rig:
-    """A desk, ready to move, with one page (``a``) unless told otherwise."""
+    """A desk, ready to move, with one page (``a``) unless given otherwise."""
 
     def __init__(self, config: BridgeConfig | None = None, *, operator: bool = True) -> None:
         self.desk = Desk(config or BridgeConfig(), BOOT, "DSO", scene=scene())
@@ -122,12 +122,12 @@ def answer(effects: list[Effect]) -> dict[str, Any]:
 
 
 def shown_selections(effects: list[Effect]) -> list[Any]:
-    """Return what the pages are told of the selection."""
+    """Return the messages to the pages about the selection."""
     return [e.message["selection"] for e in of_type(effects, Broadcast) if e.message["type"] == "selection"]
 
 
 def selected(effects: list[Effect]) -> dict[str, Any]:
-    """Return the only selection that the pages are told of."""
+    """Return the only selection in the messages to the pages."""
     (found,) = shown_selections(effects)
     return dict(found)
 

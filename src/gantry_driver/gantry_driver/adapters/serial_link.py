@@ -49,8 +49,8 @@ class SerialLink:
     clock
         The machine's time in seconds: the steady clock, or that of a simulation, which is 0 until it is known.
     on_turn
-        Called in the link's thread at the end of each turn with the number of the newest :meth:`wake` that the turn has
-        seen, and the numbers of bytes that it has read and written.
+        Called in the link's thread at the end of each turn. It gets the number of the newest :meth:`wake` that the turn
+        has seen, and the numbers of bytes that it has read and written.
     record
         Records that the stylus may be down; written before the bytes that may lower it.
     hangs_up

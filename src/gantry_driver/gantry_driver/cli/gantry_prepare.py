@@ -232,7 +232,7 @@ class _Steps:
             return "; look at the machine, then call gantry/reset"
         if state != "mismatch":
             return ""
-        with contextlib.suppress(TimedOut):  # the driver reports the code beside the text, and again every second
+        with contextlib.suppress(TimedOut):  # the driver reports the code with the text, and again every second
             until = time.monotonic() + CODE_S
             session.wait_for(lambda: session.code_of(DRIVER, text) is not None, until, lambda: "no code")
         return _ADVICE.get(session.code_of(DRIVER, text) or "", "")

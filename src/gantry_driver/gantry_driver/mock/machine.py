@@ -206,10 +206,14 @@ FAULTS: dict[str, Callable[[Machine, Mapping[str, Any]], PortFault | None]] = {
 }
 """Faults by name.
 
-unplug(seconds), stop_reading(seconds), brown_out(), soft_reset(), hang(seconds: the main loop does not run),
-error(number, after: lines to let pass), garbage(count: bytes), stray_ok(count),
-answers(how: lost, delayed, split or merged; count, seconds), damage(direction: to_board or from_board; how: flip, lost,
-doubled, swapped, replaced or burst; after: bytes to let pass), alarm(number), eeprom_pause(seconds, tail_s: seconds
-without reception after the answer), limit(axis, on), broken_switch(axis, on), stop_button(on), door(on),
-probe_surface(z_mm), lost_steps(axis, mm: shift of the motor relative to the board's count; homing corrects it).
+- unplug(seconds), stop_reading(seconds), brown_out(), soft_reset()
+- hang(seconds): the main loop does not run
+- error(number, after: lines to pass before it)
+- garbage(count: bytes), stray_ok(count)
+- answers(how: lost, delayed, split or merged; count, seconds)
+- damage(direction: to_board or from_board; how: flip, lost, doubled, swapped, replaced or burst; after: bytes to pass)
+- alarm(number)
+- eeprom_pause(seconds, tail_s: seconds without reception after the answer)
+- limit(axis, on), broken_switch(axis, on), stop_button(on), door(on), probe_surface(z_mm)
+- lost_steps(axis, mm: shift of the motor relative to the board's count); homing corrects it
 """

@@ -4,7 +4,7 @@ Truth socket: a line ``{"t": s on the monotonic clock, "mpos": [x, y, z] mm of t
 "spindle": rpm, "coolant": bool, "state": as in the report, or Off}``, 200 per second while moving, else 20.
 
 A stepped board has no clock: its time advances to the time that a client of the truth socket sends, ``{"until": s}``.
-The client receives the samples up to that time, with board seconds as ``t``, and then ``{"until": s, "sent": n,
+The client receives the samples up to that time, with board seconds as ``t``. Then it receives ``{"until": s, "sent": n,
 "received": n}`` with the numbers of bytes that have passed the serial port since the start.
 
 A line ``{"probe": true or false}`` on the truth socket connects the probe input with ground or disconnects it, until

@@ -1,6 +1,6 @@
 """The topic ``panel/plane``: the panel's plane as a pose with its covariance, in readings.
 
-The pose's position is a point on the plane, and its z axis is the plane's normal; x and y are the readings of the axes,
+The pose's position is a point on the plane, and its z axis is the plane's normal. x and y are the readings of the axes,
 z is minus the extension. Only the covariance of the shift along z and of the rotations about x and y counts.
 """
 

@@ -3,7 +3,7 @@
 ``sequence`` takes the text of a sequence file (icu_common.core.goals.sequence). If the first line is ``id: TEXT``, the
 answers carry this id. The node sends the controller one command at a time, so a stop of a gesture stops the sequence.
 Between two gestures, a stop or the loss of the operator or the driver ends the sequence; it does not continue when they
-return. A hold-up of this process also ends it, because the sender has meanwhile been told that no answer came.
+return. A hold-up of this process also ends it, because the sender has meanwhile got the result that no answer came.
 """
 
 from __future__ import annotations

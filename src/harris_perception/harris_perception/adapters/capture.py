@@ -40,7 +40,7 @@ class Capture:
         First and longest pause before reopening; the pause doubles until images arrive.
     clock
         Clock, in seconds, that measures the time without an image. A simulated camera sends nothing while simulated
-        time stands still.
+        time is stopped.
     """
 
     def __init__(

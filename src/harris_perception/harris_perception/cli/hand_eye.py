@@ -1,8 +1,8 @@
 """Hand-eye calibration of an arm whose wrist turns, from a file of poses: AX = XB and AX = ZB.
 
-The file has one row per pose, comma separated, with an optional first line of names: x, y, z in metres and the
-quaternion x, y, z, w of base_from_gripper, then the same seven of camera_from_target. Poses are numbered from 1, in the
-file's order.
+The file has one row per pose, comma separated, with an optional first line of names. A row has x, y, z in metres and
+the quaternion x, y, z, w of base_from_gripper, then the same seven of camera_from_target. Poses are numbered from 1, in
+the file's order.
 """
 
 from __future__ import annotations

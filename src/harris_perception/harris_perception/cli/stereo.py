@@ -1,4 +1,4 @@
-"""Sparse and dense stereo against known disparity, beside other methods, from the command line."""
+"""Sparse and dense stereo against known disparity, compared with other methods, from the command line."""
 
 from __future__ import annotations
 

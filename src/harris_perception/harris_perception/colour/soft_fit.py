@@ -78,7 +78,7 @@ class SoftFit:
 def fit_soft(
     at: Array, channels: Sequence[Channel], centre: Array, radius: float, radius_share: float = RADIUS_SHARE
 ) -> SoftFit:
-    """Fit one disc to the channels, of which the first must have the best-known brightness.
+    """Fit one disc to the channels; the first must have the best-known brightness.
 
     Parameters
     ----------

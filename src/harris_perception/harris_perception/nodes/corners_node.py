@@ -53,8 +53,8 @@ class CornersNodeConfig(HarrisConfig):
 
     corner_method: str = setting(
         "fast",
-        "Corner detector: fast is the detector of 1988 with the settings of this node; scales (Harris-Laplace) is the "
-        "same over a pyramid, and gives scales; repeatable keeps corners that exceed noise and surroundings; the last "
+        "Corner detector: fast is the detector of 1988 with the settings of this node. scales (Harris-Laplace) is the "
+        "same over a pyramid, and gives scales. repeatable keeps corners that exceed noise and surroundings. The last "
         "two take several times as long",
         choices=("fast", "scales", "repeatable"),
     )

@@ -312,7 +312,7 @@ def run_script(command: list[str]) -> None:
     """Run a Python script in this process as if the interpreter had been started with it.
 
     A script that fails ends at once. Its half-made node still has threads of the middleware, which can crash while the
-    interpreter shuts down; bring-up would then get a signal instead of the exit code, and restart the program.
+    interpreter shuts down. Bring-up would then get a signal instead of the exit code, and restart the program.
     """
     sys.argv = list(command)
     try:

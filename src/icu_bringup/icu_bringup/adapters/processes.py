@@ -25,7 +25,7 @@ _ABORT_S = 5.0
 """Seconds for a hanging program to print where it hangs (Python's faulthandler) and end, before it is killed."""
 
 _LADDER = ((signal.SIGINT, 0.7), (signal.SIGTERM, 0.2), (signal.SIGABRT, 0.05), (signal.SIGKILL, 0.05))
-"""Signals at the end, each with its share of the time. SIGABRT lets a node print where it hangs (faulthandler)."""
+"""Signals at the end, each with its share of the time. At SIGABRT a node prints where it hangs (faulthandler)."""
 
 
 def _begin_rescue() -> None:

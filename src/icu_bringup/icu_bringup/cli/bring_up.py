@@ -148,7 +148,7 @@ class BringUp:
         """Reserve the graph's names; return the state folder.
 
         A second graph gets its own ROS domain and state folder if the user has not chosen the domain and the graph
-        moves no real machine; see docs/decisions/start-up.md.
+        moves no real machine. See docs/decisions/start-up.md.
         """
         try:
             hold_names(self.options.namespace)

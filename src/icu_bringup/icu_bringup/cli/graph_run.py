@@ -232,7 +232,7 @@ class GraphRun:
                 self._repeats = 0
                 self._start_preparation()
 
-    # What is shown.
+    # Display.
 
     def _keep_box(self, *texts: str) -> None:
         self._box = texts

@@ -50,7 +50,7 @@ class BedsConfig(Config):
 
 
 class BedsNode(GraphNode):
-    """Subscribes to each bed's states and left picture."""
+    """Subscribes to each bed's states and left image."""
 
     def __init__(self, **options: Any) -> None:
         super().__init__("beds", **options)

@@ -19,7 +19,7 @@ from icu_common.core.configuration.config import setting
 def on_demand_setting(what: str = "Take images only while a program subscribes to a result") -> Any:
     """Return the setting ``on_demand`` of a node's configuration."""
     why = "a recording that is replayed in step needs the same subscriptions from its first message to its last"
-    return setting(True, f"{what}; false: always, because {why}", read_only=True)
+    return setting(True, f"{what}. false: always, because {why}", read_only=True)
 
 
 class OnDemand:

@@ -1,4 +1,4 @@
-"""Codes of a state topic, which its program reports on ``/diagnostics`` beside the text."""
+"""Codes of a state topic, which its program reports on ``/diagnostics`` with the text."""
 
 from __future__ import annotations
 

@@ -1,11 +1,11 @@
 """Result of a calibration with a printed board, to first order: its difference from the true cameras.
 
-The board's images by both cameras give a linear least-squares problem in all parameters of a stereo calibration: focal
-length, principal point and five distortion coefficients of each camera, the right camera's pose, and each board's pose.
-Its right side contains the errors that the model lacks: corner errors, scale of the print, bow of the sheet, and higher
-orders of the lens. The solution has the strong correlations of a real calibration, whose errors cancel at the positions
-of the boards.
-Source of the model: Z. Zhang, "A Flexible New Technique for Camera Calibration", PAMI 22 (2000).
+The board's images by both cameras give a linear least-squares problem in all parameters of a stereo calibration. These
+are the focal length, principal point and five distortion coefficients of each camera, the right camera's pose, and each
+board's pose. Its right side contains the errors that the model lacks: corner errors, scale of the print, bow of the
+sheet, and higher orders of the lens. The solution has the strong correlations of a real calibration, whose errors
+cancel at the positions of the boards. Source of the model: Z. Zhang, "A Flexible New Technique for Camera Calibration",
+PAMI 22 (2000).
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Detects that simulated time stands still: without its clock, no timeout of the graph expires."""
+"""Detects that simulated time has stopped: without its clock, no timeout of the graph expires."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the driver says of a board that reports too little, reports what nobody can read, or starts again and again."""
+"""Messages of the driver about a board that reports too little, sends unreadable reports, or starts again and again."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What gantry_prepare advises where it cannot go on: the driver takes each service that it names."""
+"""Advice of gantry_prepare where it cannot continue: the driver accepts each service that it names."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from icu_common.core.processes.processor_load import ProcessorLoad, ProgramLoad
 
 
 class Heard:
-    """An operator's session that has heard the driver's state with its code, and nothing else."""
+    """An operator's session that has received the driver's state with its code, and nothing else."""
 
     def __init__(self, text: str, code: str | None) -> None:
         self.text, self.code = text, code

@@ -903,7 +903,7 @@ def test_clock_that_jumps_back_stops_everything() -> None:
     result = bench.finals[-1]
     assert result.outcome is Outcome.ABORTED and "the clock jumped back by 3600.0 s" in result.reason
     assert bench.stops == 1 and bench.controller.phase is Phase.IDLE
-    # What was fresh before the jump is not fresh any more.
+    # Data that was fresh before the jump is not fresh any more.
     bench.tell(msg.DriverState(text="idle"))
     bench.tell(msg.Joints(readings=np.zeros(3)))
     bench.tell(msg.PointGoal(frame="base_link", xyz=np.array([0.1, 0.1, 0.0]), stamp_ns=0))
@@ -1022,7 +1022,7 @@ def test_a_stylus_that_a_lost_driver_has_left_down_is_told_until_it_is_up(driver
 
     def die(b: Bench) -> None:
         b._motion = None
-        b.talking -= {"joints"}  # the position is not known any more, and a new one tells none
+        b.talking -= {"joints"}  # the position is not known any more, and a new one has none
 
     bench.on_phase[Phase.CONTACT] = die
     assert bench.do("hold:RUN_STOP:5").outcome is Outcome.ABORTED
@@ -1061,7 +1061,7 @@ def test_a_stylus_whose_position_was_lost_is_reported_clear_when_images_show_it_
     bench.run(2.0)
     assert clear_heights(bench) == []
     assert bench.controller.state.endswith("extended by 20.0 mm and may still press: homing lifts it")
-    bench.readings = np.zeros(3)  # somebody has lifted it by hand
+    bench.readings = np.zeros(3)  # a person has lifted it by hand
     bench.run(1.0)
     assert clear_heights(bench) == [], "images of before still count"
     bench.run(4.0)

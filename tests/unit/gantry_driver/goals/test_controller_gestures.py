@@ -245,7 +245,7 @@ def test_a_lamp_that_the_raised_stylus_still_hides_is_read_from_aside() -> None:
 
 @pytest.mark.parametrize("required", [False, True])
 def test_a_lamp_that_the_stylus_hides_from_the_start_is_read_from_aside_before_the_press(required: bool) -> None:
-    """Its change could not be told, and who reads that nothing was seen presses once more."""
+    """Its change could not be detected, and a user who sees no effect presses again."""
     bench = seeing(require_effect=required)
     bench.hidden["RUN_STOP"] = "stylus"
     bench.run(0.4)
@@ -312,7 +312,7 @@ def test_without_a_picture_since_the_touch_nobody_says_that_there_was_no_effect(
 
 
 def test_what_must_have_an_effect_needs_somebody_who_sees_it() -> None:
-    """Before it is touched: afterwards nobody could tell."""
+    """Before it is touched: afterwards it could not be decided."""
     bench = Bench(config(require_effect=True)).start()
     refused = bench.do("press:RUN_STOP")
     assert refused.outcome is Outcome.REJECTED and "nothing is seen of the panel's state" in refused.reason
@@ -367,7 +367,7 @@ def test_a_lamp_that_the_stylus_hides_at_first_tells_more_than_the_screen(
 
 
 def test_a_lamp_is_read_once_the_stylus_leaves_it() -> None:
-    """Before, its ball may be taken for a part of the lamp: a button that had become green was told as off."""
+    """Before, its ball may look like a part of the lamp: a button that had become green was reported as off."""
     bench = seeing()
     bench.on_phase[Phase.TOUCH] = lambda b: setattr(b, "lamp", "off")
     bench.on_phase[Phase.LIFT] = lambda b: b.talking.discard("state")

@@ -1,4 +1,4 @@
-"""What the controller retries where only slowness made it exceed a limit, and what it never does."""
+"""Retries of the controller where only slowness made it exceed a limit, and actions that it never retries."""
 
 from __future__ import annotations
 

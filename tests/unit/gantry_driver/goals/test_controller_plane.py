@@ -1,4 +1,4 @@
-"""What the controller tells the driver of the panel's plane, and of what each trajectory is for."""
+"""Data from the controller to the driver: the panel's plane, and the purpose of each trajectory."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Cameras on the carriage: they see what they have come to, and find the panel anew from wherever they stand."""
+"""Cameras on the carriage: they see the part that they have reached, and find the panel again from every position."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from icu_common.core.goals.results import Outcome
 
 @pytest.mark.parametrize(("lamp", "effect"), [("red", "lamp green -> red"), ("green", "none seen")])
 def test_cameras_that_went_aside_themselves_have_time_to_find_the_panel_from_there(lamp: str, effect: str) -> None:
-    """Riding ones see another picture then: the lamp was told to have done nothing before anything was seen of it."""
+    """Cameras on the carriage see another image then: the lamp was reported without effect before it was seen."""
     bench = RidingBench()
     bench.talking.add("state")
     bench.start()
@@ -220,7 +220,7 @@ def test_a_pixel_of_a_picture_from_elsewhere_is_refused_at_once(command: str) ->
 
 
 def test_what_the_controls_show_is_awaited_with_the_panel() -> None:
-    """What was seen before the cameras were carried on is hidden, or not, at another place."""
+    """A sighting from before the cameras were carried on is hidden, or not, at another position."""
     bench = RidingBench(seed=3)
     bench.talking.add("state")
     bench.hidden["RUN_STOP"] = "stylus"

@@ -57,7 +57,7 @@ def test_true_error_at_contact(seed: int, kind: type[Bench]) -> None:
 @pytest.mark.parametrize("gesture", ["drag:0.05,0.06@panel_link:0.12,0.10@panel_link", "turn:CH1_SCALE:40"])
 @pytest.mark.parametrize("seed", range(3))
 def test_an_arc_is_measured_where_it_began(seed: int, gesture: str, kind: type[Bench]) -> None:
-    """Cameras on the carriage have gone along it when the contact is judged: it was 81 mm beside the target."""
+    """Cameras on the carriage have moved along it when the contact is judged: it was 81 mm off the target."""
     bench = sloppy_bench(seed, kind).start()
     result = bench.do(gesture)
     assert result.outcome is Outcome.REACHED, result
@@ -100,7 +100,7 @@ def test_a_lit_control_that_hides_the_tip_is_touched_by_a_look_from_beside_it(ki
     assert result.touch is Felt.PRESSED, "its own lamp replaces the contact that cannot be measured"
     contact = min(bench.lowest, key=lambda p: p[2])
     assert contact[2] == pytest.approx(BASE_FROM_PANEL.apply(BUTTON)[2] + 0.002 - bench.stroke_m, abs=2e-5)
-    # What scale and skew of the machine change within 20 mm, up to 0.14 mm, comes on top.
+    # The change by the machine's scale and skew within 20 mm, up to 0.14 mm, is added.
     assert away(bench, contact) < 0.0004
     details = dict(result.details)
     assert result.reason == "the tip was measured beside the target, as it could not be seen before it"
@@ -139,7 +139,7 @@ def test_the_tip_that_is_seen_in_contact_counts_although_it_was_hidden_before() 
 @pytest.mark.parametrize(
     "within_m, changes, looks",
     [
-        (0.05, {}, 3),  # it shines that far: nothing is seen from beside either
+        (0.05, {}, 3),  # it shines that far: nothing is seen from the side either
         (0.015, {"beside_m": 0.0}, 1),
     ],
 )
@@ -210,7 +210,7 @@ def test_corrections_that_change_nothing_do_not_lead_the_stylus_into_a_neighbour
     bench.lowest.clear()
     result = bench.do("press:CH1")
     assert result.outcome is Outcome.ABORTED
-    # What the hover height was found for; beyond it the knob above CH1 is 4 mm higher than the ball's lower end.
+    # Range for which the hover height was found; beyond it the knob above CH1 is 4 mm higher than the ball's lower end.
     above = BASE_FROM_PANEL.apply([0.211, 0.071, 0.003])
     low = np.array([p for p in bench.lowest if p[2] < above[2] + 0.015])
     assert len(low) and np.linalg.norm(low[:, :2] - above[:2], axis=1).max() < 0.0065

@@ -229,7 +229,8 @@ def test_aliases_count_as_what_they_repeat() -> None:
 
 @pytest.mark.parametrize("checks", ["", " => lamp:RUN_STOP=red"])
 def test_a_stop_that_overtakes_a_steps_answer_ends_the_sequence_also_when_it_was_reset_since(checks: str) -> None:
-    """State and answers are two topics: it was taken for one that the gesture would answer, and the next step went."""
+    """State and answers are two topics: the sequencer mistook it for one that the gesture would answer, and sent the
+    next step."""
     run = run_of(f"steps: ['press:RUN_STOP{checks}', 'press:SAVE']")
     run.start(0)
     run.result(answer("r.1", Outcome.ACCEPTED), S)
@@ -251,7 +252,7 @@ def test_a_step_that_fails_stops_it(outcome: Outcome, reason: str) -> None:
 
 
 def ended_with_a_stop(run: SequenceRun, now_ns: int, driver: str = "stopped: stop requested") -> str:
-    """Return why it ended, once it has asked for a stop and heard of it."""
+    """Return why it ended, once it has requested a stop and received it."""
     assert run.tick(now_ns, driver="idle") == [StopMachine()] and not run.done
     assert run.tick(now_ns + S, driver="moving") == [], "asked for once"
     number = run.state.partition("/")[0].removeprefix("step ")

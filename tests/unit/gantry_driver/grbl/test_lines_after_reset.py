@@ -1,4 +1,4 @@
-"""No line under way, and no rest of one, is obeyed by a board that was reset; the board is the mock's own parser."""
+"""A board that was reset obeys no line in transit, and no rest of one; the board is the mock's own parser."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What each command passes to the machine: every value, none exchanged with another."""
+"""Values that each command passes to the machine: every value, none exchanged with another."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How a stop, a retreat and a reset end where the board does not do what it was told."""
+"""End of a stop, a retreat and a reset where the board does not carry out the order."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the tests of the guard's process share."""
+"""Fixtures of the tests of the guard's process."""
 
 from __future__ import annotations
 

@@ -50,7 +50,7 @@ def test_a_board_that_is_already_idle_is_reset_without_loss() -> None:
 
 def test_a_board_found_in_an_alarm_in_which_it_answers_nothing_is_reset() -> None:
     rig = Rig(locked=False)
-    rig.board.alarm(1)  # GRBL hears nothing but a reset then, and a reset after half a second only
+    rig.board.alarm(1)  # GRBL reacts only to a reset then, and to a reset after half a second only
     rig.machine.opened(0.0)
     rig.until(lambda: rig.state == "unhomed", 20.0)
     assert rig.machine.connects == 1 and rig.now < rig.machine.config.connect_timeout_s
@@ -247,7 +247,7 @@ def test_a_retreat_has_the_time_that_a_slow_start_takes() -> None:
     rig.until(lambda: rig.board.mpos[2] < -50.9, 60.0)
     rig.machine.stop("stop requested", rig.now)
     rig.until(lambda: rig.machine.phase.name == "LIFTING")
-    # 50 mm at 1 mm/s^2: 14.1 s, of which the way at 30 mm/s would be 1.7 s.
+    # 50 mm at 1 mm/s^2: 14.1 s; the path at 30 mm/s would take 1.7 s of it.
     rig.board.speed_scale = 50.0 / 14.1 / 30.0
     rig.until(lambda: rig.machine.phase.name == "STOPPED", 60.0)
     assert rig.states[-1] == "stopped: stop requested" and rig.board.mpos[2] == pytest.approx(HOMED[2])
@@ -479,7 +479,7 @@ def test_a_board_whose_settings_were_not_heard_is_connected_anew() -> None:
 )
 def test_a_port_without_a_grbl_says_what_to_look_for_also_while_it_is_tried_again(said: bytes, hint: str) -> None:
     rig = Rig()
-    rig.connected = False  # what the board says and hears is another device's
+    rig.connected = False  # the board's input and output belong to another device
     rig.machine.opened(0.0)
     rig.machine.receive(said, 0.1)
     for tick in range(700):
@@ -516,7 +516,7 @@ class SuspendedBoard(Board):
 def test_a_board_that_reports_why_it_takes_no_line_while_it_connects_is_quoted(
     suspended: str, question: str, waiting: str
 ) -> None:
-    """It was ``no answer in 6 s`` again and again, though each report told of the door."""
+    """It was ``no answer in 6 s`` again and again, though each report named the door."""
     board = SuspendedBoard()
     if waiting == "asking for the build":
         board.suspended = suspended
@@ -589,7 +589,7 @@ def test_startup_lines_that_cannot_be_read_block() -> None:
 
 
 def test_a_startup_line_that_the_board_could_not_read_is_asked_for_again() -> None:
-    """Error:7 stands in the line's place, before the ``ok``; GRBL empties the line then."""
+    """Error:7 replaces the line, before the ``ok``; GRBL empties the line then."""
     board = Board()
     board.startup[1] = "G91 G0 X5"
     board.refuse["$N"] = 7
@@ -632,7 +632,7 @@ def test_fluidnc_keeps_some_settings_to_itself_and_the_place_of_homing_tells_of_
     rig.until(lambda: rig.state != "homing")
     assert rig.states[-1].startswith("mismatch: homed at MPos -356.000, -216.000, -4.000 mm")
 
-    board.settings[23] = "0"  # what is told counts
+    board.settings[23] = "0"  # the reported value counts
     rig.machine.closed("unplugged", rig.now)
     assert rig.connect().states[-1] == "mismatch: $23 is 0, the configuration says 3"
 
@@ -720,7 +720,7 @@ def test_a_reset_of_the_board_itself_is_none_that_answers_a_retry_once_it_has_an
 @pytest.mark.parametrize("locks", [True, False])
 @pytest.mark.parametrize("resets", [0, 1], ids=["of the reset", "of its retry"])
 def test_a_loss_of_power_is_not_hidden_by_a_reset_that_was_expected(locks: bool, resets: int) -> None:
-    """Its banner comes instead of the other; a board that does not lock itself tells by its place."""
+    """Its banner comes instead of the other; a board that does not lock itself is recognised by its position."""
     rig = reset_while_held_up(0.5 + resets)
     rig.until(lambda: rig.now > rig.board.held_up_until - 0.01)
     rig.until(lambda: rig.board.resets == resets)
@@ -854,7 +854,8 @@ def test_trap_7_and_8_an_unexpected_banner_is_a_reset() -> None:
 
 
 def restart_unheard(board: Board) -> None:
-    """Lose the power for a moment, with noise for a banner, as a grblHAL that does not lock itself: it counts anew."""
+    """Lose the power for a moment, with noise for a banner, as a grblHAL that does not lock itself: its count starts
+    again."""
     board.mpos, board.state = [0.0, 0.0, 0.0], "Idle"
     board.blocks.clear()
     board.rx.clear()
@@ -862,7 +863,7 @@ def restart_unheard(board: Board) -> None:
 
 @pytest.mark.parametrize("phase", ["IDLE", "STOPPED", "MOVING", "HOLDING"])
 def test_a_restart_whose_banner_noise_has_spoilt_is_noticed_by_the_place(phase: str) -> None:
-    """The next goal was driven from a corner of the travel where the machine did not stand."""
+    """The next goal was driven from a corner of the travel where the machine was not."""
     rig = Rig().homed()
     rig.go((0.1, 0.05, 0.0))
     rig.until(lambda: "reached" in rig.outcomes())
@@ -922,7 +923,8 @@ def test_noise_that_makes_one_report_tell_the_place_of_a_restart_is_none() -> No
 
 @pytest.mark.parametrize("mask", [3, 0])
 def test_the_corner_where_all_is_zero_can_be_gone_to(mask: int) -> None:
-    """Where a board stands that was just switched on, and where a stage without a Z axis may be sent, or homes."""
+    """Position of a board that was just switched on, and target of a stage without a Z axis, which may move or home
+    there."""
     machine = MachineConfig(homing_direction_mask=mask, pull_off_mm=0.0)
     board = Board()
     board.settings |= {23: str(mask), 27: "0.000"}
@@ -1124,7 +1126,7 @@ def test_homing_with_the_door_open_is_refused_by_a_reason_that_names_it() -> Non
 
 @pytest.mark.parametrize("lost", ["$X", "$H"])
 def test_an_answer_that_is_lost_while_homing_is_noticed_soon(lost: str) -> None:
-    """It was waited for as long as a homing cycle may take, while the board told again and again that it is idle."""
+    """The wait lasted as long as a homing cycle may take, while the board reported again and again that it is idle."""
     rig = Rig(DriverConfig(enabled_at_start=True, stylus=StylusConfig(kind="servo_m3", dwell_s=0.1))).connect()
     rig.step()
 
@@ -1209,7 +1211,7 @@ def test_a_stylus_with_two_positions_is_not_lowered_by_a_goal_that_lies_between(
 
 @pytest.mark.parametrize(("kind", "up"), [("servo_m3", "M3S200"), ("solenoid_m8", "M9")])
 def test_other_styluses_are_lifted_before_homing_crosses_the_panel(kind: str, up: str) -> None:
-    """No $H does that: a solenoid was drawn over the panel, and pressed on, taken for lifted."""
+    """No $H does that: a solenoid was drawn over the panel, and pressed on, because it counted as lifted."""
     rig = Rig(DriverConfig(enabled_at_start=True, stylus=StylusConfig(kind=kind, dwell_s=0.1))).homed()
     rig.go((0.1, 0.05, 0.02))
     rig.until(lambda: "reached" in rig.outcomes())
@@ -1234,7 +1236,7 @@ def test_a_servo_outside_its_range_is_refused() -> None:
 
 
 def test_no_more_points_may_be_allowed_than_are_written_within_a_heartbeat() -> None:
-    """Writing 100,000 takes two seconds, in which neither a heartbeat nor a report of the board is heard."""
+    """Writing 100,000 takes two seconds, in which neither a heartbeat nor a report of the board is read."""
     with pytest.raises(ConfigError, match="max_points = 10001 is above its maximum 10000"):
         DriverConfig(max_points=10_001)
     rig = Rig(DriverConfig(enabled_at_start=True, max_points=10_000)).homed()
@@ -1336,7 +1338,7 @@ def test_a_program_starts_at_a_home_that_motor_steps_round_beyond_the_travel() -
 
 
 def test_a_long_program_is_queued_while_it_runs() -> None:
-    """Who starts it may be interrupted meanwhile, and nobody waits until all of it is queued."""
+    """The user who starts it may interrupt it meanwhile, and no program waits until all of it is queued."""
     rig = Rig().homed()
     source = [f"G53 G1 X{-300 - k % 2} F6000" for k in range(3 * QUEUED_LINES)]
     assert rig.machine.run_program("p", source, rig.now).outcome.value == "accepted"
@@ -1542,7 +1544,7 @@ def test_resume_waits_for_the_hold_to_complete() -> None:
 
 
 def test_resume_just_after_a_pause_trusts_no_report_from_before_the_hold() -> None:
-    """The hold that showed then was taken for somebody else's, and ended the program."""
+    """The hold that appeared then seemed to come from another sender, and ended the program."""
     rig = Rig().homed()
     rig.go((0.3, 0.0, 0.0))
     rig.run_for(0.3)
@@ -1553,7 +1555,7 @@ def test_resume_just_after_a_pause_trusts_no_report_from_before_the_hold() -> No
     assert rig.outcomes() == ["accepted", "reached"] and {code for _, code in rig.board.realtime} >= {*b"!~"}
     assert rig.go((0.1, 0.0, 0.0)).outcome.value == "accepted"
     rig.run_for(0.3)
-    rig.board.write(b"!")  # a button at the board: once resumed, a hold is nobody's from here
+    rig.board.write(b"!")  # a button at the board: once resumed, no program here holds it
     rig.until(lambda: "the board went to Hold" in rig.states[-1])
 
 
@@ -1741,7 +1743,7 @@ def test_a_link_that_is_lost_tells_of_a_servo_that_the_opened_port_leaves_limp()
 
 @pytest.mark.parametrize("kind", ["servo_m3", "z_axis"])
 def test_a_link_that_is_lost_on_the_way_down_tells_of_a_stylus_that_no_report_has_shown_there(kind: str) -> None:
-    """What the board has in its buffer goes on: the last that was heard of it was that it is up."""
+    """The lines in the board's buffer continue: its last report was that the stylus is up."""
     rig = Rig(DriverConfig(enabled_at_start=True, stylus=StylusConfig(kind=kind, dwell_s=0.1))).homed()
     order = "M3S800" if kind == "servo_m3" else "Z0G1"
     rig.go((0.3, 0.1, 0.0), (0.3, 0.1, 0.02))
@@ -1762,7 +1764,7 @@ def test_a_link_that_is_lost_on_the_way_down_tells_of_a_stylus_that_no_report_ha
 
 @pytest.mark.parametrize("kind", ["servo_m3", "solenoid_m8"])
 def test_a_stylus_counts_as_down_until_it_has_been_lifted_and_not_from_the_order_on(kind: str) -> None:
-    """An alarm on that way leaves it anywhere, and the last reading is all that the controller can tell of it."""
+    """An alarm on that path leaves it at any position, and the controller knows only the last reading."""
     rig = pressing(DriverConfig(enabled_at_start=True, stylus=StylusConfig(kind=kind, dwell_s=0.1)))
     rig.positions.clear()
     assert rig.go((0.3, 0.1, 0.02), (0.3, 0.1, 0.0), (0.1, 0.1, 0.0)).outcome.value == "accepted"
@@ -1871,7 +1873,7 @@ def test_a_marlin_that_comes_up_in_the_place_of_the_board_ends_what_was_under_wa
     rig.run_for(0.2)
     assert rig.machine.phase.name == phase
     rig.board.mute = True
-    rig.run_for(0.05)  # a report that is under way would come from the Marlin otherwise
+    rig.run_for(0.05)  # a report in transit would come from the Marlin otherwise
     rig.trace.clear()
     rig.machine.receive(b"start\necho:Marlin 2.1.2\n", rig.now)
     rig.step()

@@ -1,4 +1,4 @@
-"""What the driver knows of a stylus that may be down, and what it says of one when nobody has lifted it."""
+"""The driver's state of a stylus that may be down, and its messages about one that was not lifted."""
 
 from __future__ import annotations
 
@@ -354,7 +354,8 @@ def until_rest(rig: Rig, state: str) -> str:
 def test_a_solenoid_is_told_to_be_up_when_the_board_has_cut_its_power_and_it_has_had_its_time(
     banner: str, code: int, cut: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """It was told to press until it was homed; GRBL and grblHAL switch it off with such an alarm, all at a reset."""
+    """It was reported as pressing until it was homed; GRBL and grblHAL switch it off with such an alarm, all at a
+    reset."""
     monkeypatch.setattr(protocol_board, "BANNER", f"\r\n{banner}\r\n".encode())
     rig = solenoid_down()
     rig.board.alarm(code)

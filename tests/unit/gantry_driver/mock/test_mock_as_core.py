@@ -1,7 +1,7 @@
 """The mock board where GRBL 1.1h itself differs from its documents, or from what one would expect.
 
-Sources: system.c, gcode.c, jog.c, settings.c, report.c, print.c, nuts_bolts.c and spindle_control.c of gnea/grbl; what
-was compared is listed in docs/decisions/mock-board.md.
+Sources: system.c, gcode.c, jog.c, settings.c, report.c, print.c, nuts_bolts.c and spindle_control.c of gnea/grbl. The
+compared parts are listed in docs/decisions/mock-board.md.
 """
 
 from __future__ import annotations
@@ -24,7 +24,8 @@ def e(number: int) -> bytes:
 
 
 SESSIONS = json.loads(Path(__file__).with_name("grbl_core_answers.json").read_text())
-"""What GRBL's own core answered: sessions of inputs, each from power-up; docs/decisions/mock-board.md says how."""
+"""Answers of GRBL's own core: sessions of inputs, each from power-up; their origin is in
+docs/decisions/mock-board.md."""
 PINS = re.compile(rb"\|Pn:[XYZ]+")
 """The core had no switches; the mock's are where the axes end."""
 

@@ -50,7 +50,7 @@ def test_a_move_takes_the_closed_form_time(command: str, distance: float, speed:
 
 @pytest.mark.parametrize("days", [3.5, 12.0, 120.0, 1e6])
 def test_a_board_that_has_run_for_long_homes_and_moves(days: float) -> None:
-    """Its clock then tells no shorter times apart than a fast axis takes for a nanometre."""
+    """Its clock then cannot resolve shorter times than a fast axis needs for a nanometre."""
     rig = Rig()
     rig.run(86400.0 * days)
     assert rig.send(b"$H\n", 60.0) == OK

@@ -107,7 +107,7 @@ def test_home_and_move_end_to_end(start: Callable[..., Running]) -> None:
 
 
 class UnhurriedClock:
-    """A board's clock: it runs while the board waits, and for 5 ms of what it does then, however long it is held up."""
+    """A board's clock: it runs while the board waits, and for 5 ms of its actions then, however long it is held up."""
 
     def __init__(self) -> None:
         self._now = self._seen = time.monotonic()
@@ -150,7 +150,7 @@ def test_truth_comes_fast_while_moving_to_every_client(start: Callable[..., Runn
     assert xs == sorted(xs, reverse=True)
     for line in moving[10:-10]:  # at constant speed, 50 mm/s
         assert xs[0] - line["mpos"][0] == pytest.approx(50.0 * (line["t"] - moving[0]["t"]), abs=2.5)
-    assert slow.read()["mpos"] == track[0]["mpos"]  # it reads late and hinders nobody
+    assert slow.read()["mpos"] == track[0]["mpos"]  # it reads late and hinders no other program
     rest = [fast.read()["t"] for _ in range(6)]
     assert (rest[-1] - rest[0]) / 5 > 0.03
 
@@ -405,7 +405,7 @@ def test_program_leaves_a_file_in_the_links_place_alone(tmp_path: Path, capsys: 
 
 @pytest.mark.parametrize("option", ["--link", "--truth-socket", "--control-socket", "--log"])
 def test_program_makes_no_folder(option: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """With a misspelt path it would serve where nobody looks."""
+    """With a misspelt path it would serve where no client connects."""
     assert main(["--link", str(tmp_path / "port"), option, str(tmp_path / "nope" / "x")]) == 2
     expected = f"error: {option} {tmp_path}/nope/x: there is no folder {tmp_path}/nope\n"
     assert capsys.readouterr() == ("", expected)

@@ -182,7 +182,7 @@ def test_a_dimple_needs_a_known_marker_and_room_for_the_ball() -> None:
         resolve(gesture, with_dimple(4.0, 1.0), CONFIG, wander_m=0.002)
     with pytest.raises(Refused, match=r"is 3 mm wide, the stylus needs more than 3\.5 mm to reach its bottom"):
         resolve(gesture, with_dimple(3.0, 1.0), CONFIG, wander_m=0.002, knob_deg=0.0)
-    # A ball of 2 mm radius is sqrt(3) mm to either side where it stands 1 mm deep.
+    # A ball of 2 mm radius is sqrt(3) mm to either side at a depth of 1 mm.
     with pytest.raises(Refused, match=r"has 14\.6 degrees of play in the dimple of CH1_SCALE, at most 10"):
         resolve(gesture, with_dimple(6.0, 1.0), CONFIG, wander_m=0.002, knob_deg=0.0)
 

@@ -86,7 +86,7 @@ def test_a_crossing_that_leaves_its_path_is_held_lifted_and_homed_again() -> Non
 
 
 def test_an_approach_that_goes_on_stops_above_the_panel() -> None:
-    """A slanting path of another program: its last 10.5 mm wait for a report of what is above them."""
+    """A slanting path of another program: its last 10.5 mm wait for a report from the part above them."""
     rig = DamagedRig()
     rig.home()
     deep = 0.04

@@ -1,4 +1,4 @@
-"""Shifts of a control's outline, and how well one is told: only what explains the image alone is certain."""
+"""Shifts of a control's outline, and their certainty: only a shift that explains the image alone is certain."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def test_a_bevel_is_no_shift() -> None:
 
 
 def test_two_bevels_that_explain_different_shifts_make_it_uncertain() -> None:
-    """One end shows a bevel of 0.4 mm, the other of 0.8 mm: which edge is whose is not told."""
+    """One end shows a bevel of 0.4 mm, the other of 0.8 mm: the edges cannot be assigned to the ends."""
     first, second = side({-0.4: -40.0, 0.0: -40.0}), side({-0.8: -40.0, 0.0: -40.0})
     found = _common((first, second), NO_WALLS)
     assert found is None or found[1] > 0.05

@@ -74,7 +74,7 @@ def test_parameters_lie_within_their_stated_uncertainties() -> None:
 
 
 def test_uncertainties_are_those_of_all_parameters_together() -> None:
-    """Also with an OpenCV that takes the corners for the residuals, of which there are twice as many."""
+    """Also with an OpenCV that returns the corners as the residuals; there are twice as many."""
     seen, free = views(), [0, 1, 2, 3, 4, 5, 6, 7]
     result = calibrate_camera(BOARD, seen, CONFIG)
     slopes = np.zeros((2 * sum(len(view.ids) for view in seen), len(free) + 6 * len(seen)))
@@ -112,7 +112,8 @@ def test_uncertainties_hold_where_the_corners_of_a_view_err_together(moved_px: f
 
 
 def test_a_board_held_still_before_the_camera_does_not_count_as_many_views() -> None:
-    """Its noise is new in each picture, but not what light and lens do to its corners; the same 1.5 px were told."""
+    """Its noise is new in each image, but not the effect of light and lens on its corners; both had the same reported
+    1.5 px."""
     once, often, errors = [], [], []
     for seed in range(20):
         seen, rng = views(seed, 8, 0.2), np.random.default_rng(seed)
@@ -387,7 +388,8 @@ def test_charuco_is_found_in_part_and_a_chessboard_only_whole() -> None:
 
 @pytest.mark.parametrize("radius", [10, 14])
 def test_a_board_with_a_covered_corner_is_not_found_rather_than_with_a_made_up_one(radius: int) -> None:
-    """Its corner was up to 35 px beside its place: the finder looks for the board whole, and guesses what it lacks."""
+    """Its corner was up to 35 px off its position: the finder searches for the whole board, and guesses the missing
+    part."""
     rng = np.random.default_rng(6)
     found = 0
     for pose in poses(rng, BOARD, 2):
@@ -463,7 +465,7 @@ def test_photographed_pairs_reach_the_known_error() -> None:
 
 @pytest.mark.parametrize("side", [0, 1])
 def test_halves_of_the_photographs_agree_within_their_stated_uncertainties(side: int) -> None:
-    """What nobody knows of real cameras, two calibrations that share no picture tell."""
+    """Two calibrations without a shared image show the error that is unknown for real cameras."""
     seen, scores = [pair[side] for pair in photographed_pairs()], []
     for seed in range(10):
         order = np.random.default_rng(seed).permutation(len(seen))

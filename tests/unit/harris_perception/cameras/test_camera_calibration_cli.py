@@ -45,7 +45,7 @@ def test_one_camera_is_calibrated_and_its_file_loads(folder: Path, tmp_path: Pat
     model = CameraModel.load(tmp_path / "bench_left.yaml")
     assert model.name == "bench_left" and model.size == (960, 720)
     assert model.k[0, 0] == pytest.approx(camera().k[0, 0], abs=3)
-    # What camera_info_manager reads (camera_calibration_parsers), no more and no less.
+    # Contents that camera_info_manager reads (camera_calibration_parsers), no more and no less.
     document = yaml.safe_load((tmp_path / "bench_left.yaml").read_text())
     assert set(document) == {
         "image_width",

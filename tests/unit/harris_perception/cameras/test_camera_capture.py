@@ -1,4 +1,4 @@
-"""The capture thread: pictures pass, failures are told, pauses grow and the source is opened again."""
+"""The capture thread: images pass, failures are reported, pauses grow and the source is opened again."""
 
 from __future__ import annotations
 

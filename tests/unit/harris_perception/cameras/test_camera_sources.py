@@ -96,7 +96,7 @@ def test_a_recording_keeps_its_rate(tmp_path: Path, clock: Clock) -> None:
     for _ in range(11):
         source.read(1.0)
         given.append(clock.now)
-    # Who comes late gets one at once, and one that was due by then; after these the rate is as before.
+    # A late reader gets one at once, and one that was due by then; after these the rate is as before.
     assert given[11:] == pytest.approx([5.2, 5.2, *(5.2 + np.arange(1, 10) * 0.02)])
 
 
@@ -289,7 +289,7 @@ class NoisyDevice(ScriptedDevice):
 
 
 def test_v4l2_pictures_that_waited_while_the_computer_was_busy_keep_their_time() -> None:
-    """What was taken before a motion must not be told as taken after it."""
+    """An image from before a motion must not get a time after it."""
     left, right, now = NoisyDevice(0.0), NoisyDevice(0.0), [5_000_000_000]
     waiting = [left, right]
     source = V4l2Source(

@@ -95,7 +95,7 @@ def test_the_ball_before_something_as_dark_as_its_dark_side() -> None:
 
 
 def test_a_camera_that_was_coarse_is_so_where_one_picture_does_not_show_it() -> None:
-    """Beside a lit lamp an image may look sharp; chroma alone was 3 mm off then."""
+    """Near a lit lamp an image may look sharp; chroma alone was 3 mm off then."""
     rng = np.random.default_rng(9)
     tracker = StylusTracker(StylusConfig(), STEREO)
     pairs = balls(5)

@@ -393,7 +393,7 @@ def test_rounding_on_constant_pictures_is_no_corner(value: float, gradient: str,
 @pytest.mark.parametrize("response", ["harris", "shi_tomasi", "noble", "geometric"])
 @pytest.mark.parametrize("gradient", ["harris", "deriche"])
 def test_a_drawing_has_the_corners_of_the_gaussian_window_by_recursion_too(response: str, gradient: str) -> None:
-    """What the recursion leaves of a step far away is below zero, on flat ground both sums of squares are."""
+    """The recursion's remainder of a step far away is below zero; on flat ground both sums of squares are."""
     rng = np.random.default_rng(3)
     picture = np.full((240, 320), 30, np.uint8)
     for y, x, height, width, value in rng.integers((10, 10, 8, 8, 80), (180, 260, 50, 50, 255), (8, 5)):

@@ -91,7 +91,7 @@ def test_corners_over_scales_match_a_picture_of_another_size(scale: float) -> No
         counts.append(int(right.sum()))
         if levels == 8:
             assert right.mean() > 0.97
-            # The scales tell the change of size as well, within a level.
+            # The scales show the change of size as well, within a level.
             change = b.scale[found.pairs[:, 1]] / a.scale[found.pairs[:, 0]]
             assert np.median(change) == pytest.approx(scale, rel=0.15)
     print("right matches over scales, on one:", counts)

@@ -1,4 +1,4 @@
-"""What is told of the two sides of an edge, on pictures whose regions are known exactly."""
+"""Measures of the two sides of an edge, on images whose regions are known exactly."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def test_regions_differ_where_a_closed_edge_parts_them_whatever_lies_beside_it()
     sides = Sides([picture], texture=0.0, k=0.24)
     apart, beside = sides.of_regions(between, reach_px=40.0), sides.beside(6.0)
     edge, within = np.s_[:, 118:122], np.r_[20:100, 140:220]
-    # Noise as large as the picture's cells differs beside any place as much as at the edge; regions do not.
+    # Noise as large as the image's cells differs next to any position as much as at the edge; regions do not.
     assert np.median(apart[edge]) > 8.0 * np.median(apart[:, within])
     assert np.median(beside[edge]) < 2.0 * np.median(beside[:, within])
 
@@ -79,7 +79,7 @@ def test_regions_run_together_where_nothing_parts_them() -> None:
     edge = np.s_[:, 118:122]
     parted, open_ = (sides.of_regions(known, reach_px=40.0)[edge] for known in (between, np.zeros_like(between)))
     assert np.median(parted) > 3.0 * np.median(open_)
-    between[60:100] = 0.0  # through a gap they run together beside it, and not far from it
+    between[60:100] = 0.0  # through a gap they run together next to it, and not far from it
     gap = sides.of_regions(between, reach_px=40.0)
     assert np.median(gap[70:90, 118:122]) < 0.6 * np.median(parted)
     assert np.median(gap[:20, 118:122]) > 0.9 * np.median(parted[:20])
@@ -107,5 +107,5 @@ def test_an_unknown_pixel_hides_its_surroundings_alone() -> None:
     found = EdgeDetector().detect(picture).labels
     far = np.hypot(*(np.indices(picture.shape) - np.array([20, 50])[:, None, None])) > 20
     assert np.count_nonzero(known[far]) > 140
-    for one, other in ((found, known), (known, found)):  # of two pixels beside the step either may be the edge
+    for one, other in ((found, known), (known, found)):  # either of the two pixels next to the step may be the edge
         assert cv2.dilate(other, np.ones((3, 3), np.uint8))[far & (one == EDGE)].all()

@@ -1,4 +1,4 @@
-"""Edges beside boundaries that people drew: pairs, F-measures, files in the form of BSDS500, and the command."""
+"""Edges compared with boundaries that people drew: pairs, F-measures, files in the form of BSDS500, and the command."""
 
 from __future__ import annotations
 

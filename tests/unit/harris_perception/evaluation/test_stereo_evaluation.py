@@ -43,7 +43,7 @@ def test_what_the_right_picture_does_not_show_is_not_visible() -> None:
     seen = scene().visible()
     assert not seen[:, :12].any() and seen[:30, 12:].all()
     assert seen[30:80, 120:180].all()
-    # The square moves 18 px further than the wall and hides so many of the wall's columns left of itself.
+    # The square moves 18 px farther than the wall and hides as many of the wall's columns left of itself.
     assert not seen[32:78, 103:119].any() and seen[32:78, 12:100].all()
 
 

@@ -81,7 +81,7 @@ def test_error_is_as_predicted_over_seeds() -> None:
     distances, factors, errors, sigmas = [], [], [], []
     exact = HandEyeConfig(tip_sigma_px=1e-4, common_error=0.0, place_error=0.0)
     for seed in range(200):
-        # The solver is told three times the true covariance: the residuals must correct it.
+        # The solver gets three times the true covariance: the residuals must correct it.
         result = calibrate(samples(readings, np.random.default_rng(seed), 3.0), CAMERAS, exact)
         assert result.fit.used.all(), seed
         design = np.column_stack([query, np.ones(len(query))])
@@ -114,7 +114,7 @@ def test_wrong_detections_are_left_out(wrong: int) -> None:
 
 
 def test_what_is_left_out_does_not_change_what_is_told_of_the_rest() -> None:
-    """A tip that was seen at the tracker's greatest depth once told a noise of half as much again."""
+    """A tip that was seen at the tracker's greatest depth once raised the reported noise by half."""
     data = samples(grid(), np.random.default_rng(1))
     query, places = grid(2, 2), (2, 9, 15, 20)
     rest = [sample for number, sample in enumerate(data) if number not in places]

@@ -29,7 +29,7 @@ from icu_common.core.goals.results import GoalResult, Outcome
 
 
 def run_config(**changes: Any) -> RunConfig:
-    """Return a configuration with six positions, which tell enough for these tests."""
+    """Return a configuration with six positions, which are enough for these tests."""
     return RunConfig(**{"places": 6, **changes})
 
 
@@ -526,7 +526,7 @@ def test_a_goal_that_is_sent_twice_counts_once() -> None:
 
     (progress, again) = run.tick(3_000 * MS)
     assert isinstance(progress, Progress) and isinstance(again, SendGoal) and again.stamp_ns == 3_000 * MS
-    # The answers to the first goal come late; the second is rejected because the first is under way.
+    # The answers to the first goal come late; the second is rejected because the first is still running.
     assert answer("0", Outcome.ACCEPTED) == []
     assert answer(str(again.stamp_ns), Outcome.REJECTED, "busy with 'move to ...'") == []
     assert answer("0", Outcome.REACHED) == [] and not run.over

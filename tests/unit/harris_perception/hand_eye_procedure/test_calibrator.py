@@ -1,4 +1,4 @@
-"""What the hand-eye node keeps and decides, without the node."""
+"""State and decisions of the hand-eye node, without the node."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def calibrated(stored: StoredCalibration = STORED, config: CalibratorConfig = CO
 
 
 def look(calibrator: Calibrator, reading: Array, now_ns: int, off_m: float = 0.0) -> list[Action]:
-    """Stand at a reading (3,) and be seen there three times, ``off_m`` beside the tip's place."""
+    """Rest at a reading (3,) and be seen there three times, ``off_m`` off the tip's position."""
     calibrator.take_reading(now_ns, reading)
     tip = POSE.apply(np.array([*(AXES @ reading[:2]) + off_m, -reading[2]]))
     rng = np.random.default_rng(3)
@@ -227,7 +227,7 @@ def test_a_camera_that_changes_ends_the_run_and_withdraws_the_calibration() -> N
 
 
 def used_again(actions: Sequence[Action], calibrator: Calibrator) -> bool:
-    """Tell whether the stored calibration is in use, and was said to be by these actions."""
+    """Return whether the stored calibration is in use, and was reported to be by these actions."""
     axes = [action.base_from_reading for action in actions if isinstance(action, SetAxes)]
     assert (calibrator.stored is STORED) is bool(axes), kinds(actions)
     if not axes:
@@ -342,7 +342,7 @@ def test_one_burst_of_sightings_is_one_look_at_drift() -> None:
         for late_ms in (10, 300, 600):
             assert kinds(calibrator.look_around(now + late_ms * MS)) == (told if late_ms == 10 else [])
     assert "the tip is seen 4.2 mm" in calibrator.state and "the panel's corner is seen 3.0 mm" in calibrator.state
-    # A recording that starts anew, or a clock that was set back, is looked at as before.
+    # A recording that restarts, or a clock that was set back, is processed as before.
     for now in (NOW_NS - 100_000 * MS, NOW_NS - 99_000 * MS):
         look(calibrator, reading, now)
         calibrator.look_around(now + 10 * MS)

@@ -86,7 +86,7 @@ def test_a_moving_tip_is_where_it_was_at_the_left_images_instant(phase_ms: float
 
 
 def test_without_interpolation_the_same_tip_is_wrong() -> None:
-    """What the interpolation is for: by the nearest right image the tip is off by its motion, in depth above all."""
+    """Purpose of the interpolation: by the nearest right image the tip is off by its motion, in depth above all."""
     tracker = SeenExactly(moving)
     stamp = 1_500_000_000
     off = tracker.find(stamp, stamp + 12 * MS).tip - moving(1.5)

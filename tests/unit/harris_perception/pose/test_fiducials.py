@@ -47,7 +47,7 @@ def test_markers_are_seen_in_place_and_give_the_pose(view: dict[str, Any]) -> No
     corners = np.array([m.corners_mm() for m in layout().markers]).reshape(-1, 2) * 1e-3
     places = np.column_stack([corners, np.zeros(len(corners))])
     best = finder.poses(seen, CAMERA)[0]
-    # Two small markers in a row tell little of the tilt, but well where they are.
+    # Two small markers in a row determine the tilt badly, but their position well.
     pixels = CAMERA.project(best.apply(places)) - CAMERA.project(truth.apply(places))
     assert np.linalg.norm(pixels, axis=1).max() < 0.7
 

@@ -119,7 +119,7 @@ def test_renders_are_measured_nearer_to_the_true_plane() -> None:
 
 
 def test_a_pose_is_as_sure_as_it_says_with_fine_and_with_coarse_pixels() -> None:
-    """What the edges of one line have in common is no noise of each: a pose once erred by three times the told."""
+    """The shared error of one line's edges is no noise of each edge: a pose once had three times its reported error."""
     seed, found = 7, {"fine": [], "binned": []}
     rng, detector = np.random.default_rng(seed), HarrisDetector()
     recognisers = {name: PanelRecogniser(LAYOUT) for name in found}

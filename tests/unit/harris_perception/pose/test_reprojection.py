@@ -139,7 +139,7 @@ def test_backlash_is_the_difference_of_two_neighbours() -> None:
 
 @pytest.mark.parametrize(("axis", "spots"), [(0, (0.08, 0.13)), (1, (0.13, 0.23))])
 def test_backlash_errs_as_predicted_at_the_edge_of_the_picture(axis: int, spots: tuple[float, ...]) -> None:
-    """There the line of sight leans against the rail, and what depth is off by must not be taken for play."""
+    """There the line of sight leans against the rail, and the depth error must not count as play."""
     nothing = np.zeros((3, 3))
     squares, errors = [], []
     for seed in range(100, 120):
@@ -159,7 +159,7 @@ def test_backlash_errs_as_predicted_at_the_edge_of_the_picture(axis: int, spots:
     rms = float(np.sqrt(np.mean(np.square(errors))))
     print(f"rms {rms * 1e6:.1f} um, chi-square {np.mean(squares):.2f}")
     assert 0.8 < np.mean(squares) < 1.2
-    assert rms < 0.8 * 0.05 * 0.66 / 1700  # four pictures tell each place
+    assert rms < 0.8 * 0.05 * 0.66 / 1700  # four images determine each position
 
 
 def test_a_view_of_the_panel_errs_as_its_lines_of_print_tell() -> None:

@@ -181,7 +181,7 @@ def test_what_is_not_in_the_picture_is_hidden_by_its_edge() -> None:
     left, _ = scene.renderer.render(Moment(tip=AWAY, state=InstrumentState(), now_s=0.2))
     pose = scene.camera_from_base @ scene.panel_from
     u = float(scene.camera.project(pose.apply([np.array([*LAYOUT.control("MENU").position_mm, 0.0]) * 1e-3]))[0, 0])
-    # The same picture without its right part: as by cameras that ride and stand farther to the left.
+    # The same image without its right part: as by cameras on the carriage, farther to the left.
     narrow = dataclasses.replace(scene.camera, width=int(u))
     seen = scene.reader.read(left[:, : int(u)].copy(), pose, narrow, 1)
     menu, knob, run = (seen.control(name) for name in ("MENU", "TRIG_LEVEL", "RUN_STOP"))

@@ -32,7 +32,7 @@ NAMES = ("SCREEN", "RUN_STOP", "CH1", "TIME_SCALE", "CH1_IN")
 
 
 def photo(folder: Path) -> tuple[Path, list[str], list[str]]:
-    """Write a picture; return it with the corners and controls as somebody would point at them."""
+    """Write an image; return it with the corners and controls as a person would point at them."""
     truth = scene.pose(LAYOUT, distance_m=0.5, below_deg=8.0)
     path = folder / "photo.png"
     cv2.imwrite(str(path), scene.picture(LAYOUT, CAMERA, truth, scene.Look(arm_x_mm=None, noise=1.0), 3))

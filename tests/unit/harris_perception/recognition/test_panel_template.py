@@ -1,4 +1,4 @@
-"""The template: shapes stand where the layout says, to a small part of a pixel; masks and hidden parts."""
+"""The template: shapes are at the layout's positions, to a small part of a pixel; masks and hidden parts."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def layout(*artwork: object, controls: tuple[Control, ...] = ()) -> PanelLayout:
 
 
 def moments(picture: np.ndarray, px_per_mm: float) -> tuple[float, float, float]:
-    """Area in mm^2 and centroid x, y in mm (y up) of what is bright, pixel centres at (0, 0)."""
+    """Area in mm^2 and centroid x, y in mm (y up) of the bright part, pixel centres at (0, 0)."""
     weight = picture[..., 0] / 255.0
     rows, columns = np.mgrid[0 : weight.shape[0], 0 : weight.shape[1]]
     total = weight.sum()

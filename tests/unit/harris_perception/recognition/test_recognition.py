@@ -85,7 +85,7 @@ def test_found_with_all_controls_in_place(view: dict[str, Any], look: dict[str, 
 
 @pytest.mark.parametrize("spot_px", [1, 12])
 def test_found_in_the_dark_beside_a_bright_spot(spot_px: int) -> None:
-    """A hot pixel, or a lamp, is so much stronger than the print that the relative threshold leaves nothing else."""
+    """A hot pixel, or a lamp, exceeds the print by a factor at which the relative threshold leaves nothing else."""
     truth = scene.pose(LAYOUT)
     picture = scene.picture(LAYOUT, CAMERA, truth, scene.Look(gain=0.1, spot_px=spot_px), seed=5)
     corners = DETECTOR.detect(picture).xy
@@ -169,7 +169,7 @@ def test_another_panel_with_the_same_words_and_shapes_is_not_taken_for_it() -> N
 
 
 def test_blocks_of_controls_in_other_places_are_another_panel() -> None:
-    """A third of its print agrees to 0.07 px; beside that is other print, under which nothing of the panel lies."""
+    """A third of its print agrees to 0.07 px; next to it is other print, under which nothing of the panel lies."""
     layout = load_layout(scene.LAYOUT.with_name("mso_dark_6.yaml"))
     picture = scene.picture(layout, CAMERA, scene.pose(layout), scene.Look(), 0)
     rectified = cv2.remap(picture, *CAMERA.rectification_maps(), cv2.INTER_LINEAR)
@@ -382,7 +382,7 @@ def test_pose_from_exact_points_and_from_distances_across_edges() -> None:
     )
     angle = rng.uniform(0, np.pi, 60)
     across = np.column_stack([np.cos(angle), np.sin(angle)])
-    # What lies along an edge is unknown, and a few measurements are wrong.
+    # The position along an edge is unknown, and a few measurements are wrong.
     slid = pixels + rng.normal(0, 30, (60, 1)) * across[:, ::-1] * (1.0, -1.0)
     slid[:8] += 9.0 * across[:8]
     fit = fit_pose(off, FacePoints(in_face=points, pixels=slid, across=across), CAMERA)

@@ -72,7 +72,7 @@ def test_the_left_strip_is_kept_where_the_right_picture_shows_it() -> None:
     assert (plain.compute(left, right)[:, :80] < 0).all()  # what is mended here
     strip = found[4:-4, 16:80]
     assert (np.abs(strip - 12) < 0.5).mean() > 0.97
-    # The first columns have their partners outside of the right picture: nothing is known there, and nothing made up.
+    # The first columns have their partners outside of the right image: nothing is known there, and nothing invented.
     assert np.isnan(found[:, :10]).mean() > 0.9
     seen = np.argwhere(np.isfinite(found))
     assert (seen[:, 1] - found[seen[:, 0], seen[:, 1]] >= -0.5).all()
@@ -99,7 +99,7 @@ def test_what_one_camera_does_not_see_is_unknown_or_filled_from_behind() -> None
     right[50:150, 120:210] = front
     left, right = (np.clip(p + rng.normal(0, 0.5, p.shape), 0, 255).astype(np.uint8) for p in (left, right))
     hidden = np.zeros(SHAPE, bool)
-    hidden[54:146, 132:158] = True  # behind the square in the right picture, to the left of it in the left one
+    hidden[54:146, 132:158] = True  # behind the square in the right image, to the left of it in the left one
     open_, filled = (SemiGlobalMatcher(0, 63, replace(CONFIG, fill_holes=f))(left, right) for f in (False, True))
     assert np.isnan(open_[hidden]).mean() > 0.8
     assert np.isfinite(filled).all() and (np.abs(filled[hidden] - 10) < 1).mean() > 0.75

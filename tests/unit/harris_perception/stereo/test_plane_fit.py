@@ -73,7 +73,7 @@ def test_the_same_seed_gives_the_same_plane() -> None:
 
 
 def test_the_most_hypotheses_find_the_same_plane_without_much_memory() -> None:
-    """What is held for all of them at once would be 80 MB and several times that while it is compared."""
+    """The data for all of them at once would be 80 MB and several times that during the comparison."""
     with pytest.raises(ConfigError, match=r"hypotheses = 5001 is above its maximum 5000"):
         PlaneConfig(hypotheses=5001)
     points, sigma, normal = seen_plane(np.random.default_rng(5), 20, 0.65, 2000, 0.08)
@@ -122,7 +122,7 @@ def test_a_point_that_no_camera_sees_is_refused(value: float) -> None:
 
 @pytest.mark.parametrize("noise_px", [0.08, 0.4, 1.0])
 def test_the_plane_is_as_sure_as_it_says_also_where_points_scatter_by_more_than_the_tolerance(noise_px: float) -> None:
-    """The last are 2 mm: half of the points were cut off, and the plane's error was twice what was told."""
+    """The last are 2 mm: half of the points were cut off, and the plane's error was twice the reported one."""
     scores, errors = [], []
     for seed in range(60):
         points, sigma, normal = seen_plane(np.random.default_rng(seed), 20, 0.65, 200, noise_px)

@@ -198,7 +198,7 @@ def photographs() -> list[tuple[str, Any, Any, Any, tuple[float, float]]]:
 
 
 def visible(truth: Any) -> Any:
-    """Return where the left picture shows what the right one shows too: nothing nearer lands on the same column."""
+    """Return where the left image shows the same as the right one: nothing nearer lands on the same column."""
     height, width = truth.shape
     y, x = np.nonzero(truth > 0)
     d = truth[y, x]

@@ -98,7 +98,7 @@ def test_the_centre_is_measured_where_two_pixels_share_a_colour(lamp: Any, first
 
 @pytest.mark.parametrize("seed", [28, 55])
 def test_a_stem_before_the_ball_is_no_reason_for_doubt(seed: int) -> None:
-    """It hides little of the outline, but pixels beside its end within the ball, which counted as the ball's."""
+    """It hides little of the outline, but pixels next to its end within the ball, which counted as the ball's."""
     rng = np.random.default_rng(seed)
     tip = np.array([rng.uniform(0.01, 0.1), rng.uniform(-0.05, 0.05), rng.uniform(0.76, 0.82)])
     found = tracker().find(*render(STEREO, tip, rng, Look(shaft_from=0.001, shaft_radius=0.0008)))

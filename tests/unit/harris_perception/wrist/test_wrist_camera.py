@@ -1,4 +1,5 @@
-"""AX = XB and AX = ZB on synthetic motions: exact, with noise as predicted, beside OpenCV's where it has them."""
+"""AX = XB and AX = ZB on synthetic motions: exact, with noise as predicted, compared with OpenCV's where it has
+them."""
 
 from __future__ import annotations
 
@@ -58,7 +59,7 @@ def test_joint_solution_is_exact_and_gives_both_unknowns() -> None:
 
 
 def test_a_fixed_camera_is_the_same_problem_with_the_inverse() -> None:
-    """The camera stands at base_from_camera and sees a target on the gripper."""
+    """The camera is at base_from_camera and sees a target on the gripper."""
     grippers, _ = motions(8, np.random.default_rng(2))
     base_from_camera, gripper_from_target = Z, X
     seen = [base_from_camera.inverse() @ g @ gripper_from_target for g in grippers]

@@ -1,4 +1,4 @@
-"""What the bag commands refuse: before a bag is made or a message is played."""
+"""Refusals of the bag commands: before a bag is made or a message is played."""
 
 from __future__ import annotations
 

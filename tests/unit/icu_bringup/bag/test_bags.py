@@ -357,7 +357,8 @@ def chunks_of(file: Path) -> list[Chunk]:
 
 
 def test_each_chunk_has_its_checksum(tmp_path: Path) -> None:
-    """The writer of rosbags says 0, which readers take for unknown; ours is set by its attributes `bio` and `chunk`."""
+    """The writer of rosbags writes 0, which readers treat as unknown; ours is set by its attributes `bio` and
+    `chunk`."""
     bag_of_six_chunks(tmp_path / "bag")
     chunks = chunks_of(storage_file(tmp_path / "bag"))
     assert [chunk.uncompressed_crc for chunk in chunks] == [zlib.crc32(chunk.data) for chunk in chunks]
@@ -368,7 +369,7 @@ def test_each_chunk_has_its_checksum(tmp_path: Path) -> None:
 def test_a_chunk_whose_checksum_is_wrong_is_refused_and_all_others_are_saved(
     number: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The first is the only one that tells of the topic; the end of the file does so again."""
+    """The first is the only one that declares the topic; the end of the file does so again."""
     rows = bag_of_six_chunks(tmp_path / "bag")
     file = storage_file(tmp_path / "bag")
     data = bytearray(file.read_bytes())
@@ -392,7 +393,7 @@ def test_a_chunk_whose_checksum_is_wrong_is_refused_and_all_others_are_saved(
 
 
 def test_messages_whose_topic_only_a_damaged_chunk_told_are_counted(tmp_path: Path) -> None:
-    """The file was cut off, too, so its end does not tell of it again."""
+    """The file was cut off, too, so its end does not declare it again."""
     bag_of_six_chunks(tmp_path / "bag")
     data = bytearray(storage_file(tmp_path / "bag").read_bytes())
     data[data.index(b"word 4\0")] ^= 1
@@ -453,7 +454,7 @@ def test_no_damage_of_one_byte_is_passed_over(tmp_path: Path) -> None:
 def test_the_check_of_a_bag_passes_over_no_damage_of_one_byte(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Neither in a chunk nor in the index, without which messages are not found; each is told in one line."""
+    """Neither in a chunk nor in the index, without which messages are not found; each is reported in one line."""
     seed = 12
     chance = random.Random(seed)
     rows = bag_of_six_chunks(tmp_path / "bag")
@@ -750,7 +751,7 @@ def test_a_write_that_fails_leaves_a_bag_that_can_be_repaired(tmp_path: Path, st
 
 @both
 def test_what_was_recorded_outlives_the_recorder_also_where_nothing_follows(tmp_path: Path, storage: str) -> None:
-    """What a copy of the files has would be there after the recorder was killed."""
+    """The contents of a copy of the files would be there after the recorder was killed."""
     sink = BagSink(lambda: BagWriter(tmp_path / "bag", storage, keep_free=0))
     try:
         assert storage_file(tmp_path / "bag").read_bytes().startswith((MAGIC, b"SQLite format 3\0"))
@@ -810,7 +811,7 @@ def test_the_official_reader_reads_a_recording_whose_topics_are_older_than_its_m
 
 
 def slow_disk() -> tuple[type, threading.Event, list[tuple[str, int, bytes]]]:
-    """Return a writer of bags, what lets it begin, and what it writes then."""
+    """Return a writer of bags, an event that starts it, and its output after that."""
     gate = threading.Event()
     written: list[tuple[str, int, bytes]] = []
 
@@ -888,7 +889,7 @@ def test_pictures_survive_png_and_nearly_jpeg(encoding: str, channels: int) -> N
 
 
 def test_pictures_that_cannot_be_compressed_are_kept_as_they_are(tmp_path: Path) -> None:
-    """A depth camera beside the robot's own does not end the recording."""
+    """A depth camera in addition to the robot's own does not end the recording."""
     header = TYPES.types["std_msgs/msg/Header"](
         stamp=TYPES.types["builtin_interfaces/msg/Time"](sec=12, nanosec=34), frame_id="eye"
     )
@@ -965,7 +966,7 @@ def gray_picture() -> tuple[bytes, bytes]:
 
 
 def test_a_picture_that_differs_from_those_before_does_not_end_the_recording(tmp_path: Path) -> None:
-    """One of no size, or in another encoding, as of a camera that is set anew, is kept beside the compressed ones."""
+    """One of no size, or in another encoding, as of a camera with new settings, is kept with the compressed ones."""
     header = TYPES.types["std_msgs/msg/Header"](
         stamp=TYPES.types["builtin_interfaces/msg/Time"](sec=12, nanosec=34), frame_id="eye"
     )

@@ -1,4 +1,4 @@
-"""What bag_export writes is read back with other libraries and compared with what the bag was made of."""
+"""Output of bag_export, read back with other libraries and compared with the bag's source."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What bring_up refuses before it starts anything."""
+"""Refusals of bring_up before it starts anything."""
 
 from __future__ import annotations
 
@@ -91,7 +91,8 @@ def test_a_namespace_that_is_none_makes_no_folder(tmp_path: Path, monkeypatch: p
 def test_files_that_are_added_to_the_sources_configuration_are_found_without_a_new_build(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """``colcon build --symlink-install`` links file by file; what is put beside them, or taught, would not be there."""
+    """``colcon build --symlink-install`` links file by file; files added next to them, or taught, would not be
+    there."""
     source, built = tmp_path / "config", tmp_path / "install" / "icu_bringup" / "share" / "icu_bringup" / "config"
     for folder in (source, built):
         folder.mkdir(parents=True)
@@ -163,7 +164,7 @@ def two(tmp_path: Path) -> Iterator[Callable[..., subprocess.Popen[str]]]:
 
 
 def until_it_runs(process: subprocess.Popen[str], *programs: str) -> None:
-    """Wait until each of the programs has said something, and hears signals by then."""
+    """Wait until each of the programs has printed something, and handles signals by then."""
     assert process.stdout is not None
     silent = set(programs or ("board", "driver"))
     while silent:
@@ -257,11 +258,12 @@ while true; do sleep 0.1; done
 def test_programs_go_on_and_end_while_the_terminal_takes_no_output(
     tmp_path: Path, two: Callable[..., subprocess.Popen[str]]
 ) -> None:
-    """After Control-S nobody read what they print; a driver that waits for that tells nobody where it is."""
+    """After Control-S no terminal read their output; a driver that waits for that reports its position to no
+    program."""
     (tmp_path / "lib" / "p" / "driver").write_text(TALKATIVE)
     log = tmp_path / "log"
     board = tmp_path / "lib" / "p" / "board hears"
-    with two() as process:  # whose output is read by nobody before it has ended
+    with two() as process:  # whose output is not read before it has ended
 
         def written() -> bool:
             assert process.poll() is None
@@ -275,7 +277,7 @@ def test_programs_go_on_and_end_while_the_terminal_takes_no_output(
 
 
 def test_a_second_graph_under_the_same_names_is_refused(two: Callable[..., subprocess.Popen[str]]) -> None:
-    """A demo beside a real machine would enable it, home it and send it goals: the topics are the same."""
+    """A demo next to a real machine would enable it, home it and send it goals: the topics are the same."""
     with two() as first:
         until_it_runs(first)
         for more in ([], ["--without", "board"]):

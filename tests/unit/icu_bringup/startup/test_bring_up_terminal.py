@@ -1,4 +1,4 @@
-"""What a person sees of bring_up: on a terminal one moving line, then a box that stays last; in a pipe plain lines."""
+"""Output of bring_up for a person: on a terminal one moving line, then a box that stays last; in a pipe plain lines."""
 
 from __future__ import annotations
 
@@ -118,7 +118,7 @@ class Demo:
 
     @property
     def notes(self) -> list[str]:
-        """The texts beside the code."""
+        """The texts next to the QR code."""
         return [row.strip("│ ").rpartition("  ")[2].strip() for row in self.screen if row.startswith("│")]
 
     def read(self, timeout_s: float) -> bool:

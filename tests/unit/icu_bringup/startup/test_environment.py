@@ -1,4 +1,4 @@
-"""What bring-up says about this computer before it starts anything: one sentence with the option that helps."""
+"""Messages of bring-up about this computer before it starts anything: one sentence with the option that helps."""
 
 from __future__ import annotations
 

@@ -82,7 +82,7 @@ class Group:
 
 @pytest.fixture
 def group(tmp_path: Path) -> Iterator[Group]:
-    # A shell that starts the tests in its background lets them, and what they start, ignore SIGINT.
+    # A shell that starts the tests in its background makes them, and the programs that they start, ignore SIGINT.
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     group = Group(tmp_path)
     yield group

@@ -42,12 +42,12 @@ FROM_THE_GRAPH = {
     "bench": {"layout", "motion_socket", "frame_socket", "test_socket", "truth_log"},
     "ui_bridge": {"token_file", "passwords_file", "record_folder", "sequence_folder", "audit_file", "layout"},
 }
-"""What the parameter files leave out."""
+"""Parameters that the parameter files leave out."""
 NO_DEFAULTS = {
     "camera": {"source": "v4l2", "right_device": "2", "rate_hz": 30.0, "width": 1280, "height": 720},
     "dense_stereo": {"limits.min_depth_m": 0.4, "limits.max_depth_m": 1.2, "limits.binning": 2},
 }
-"""What the parameter files set otherwise than the code."""
+"""Parameters that the parameter files set otherwise than the code."""
 
 
 @pytest.mark.parametrize("program", [p for p in programs("test") if p.is_node], ids=lambda p: p.name)

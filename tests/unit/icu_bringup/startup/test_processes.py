@@ -46,7 +46,7 @@ def test_a_program_that_ran_for_long_is_restarted_at_once() -> None:
     watch.group.stop()
 
 
-# Ends once, then hangs once before it is ready, deaf to signals, then works.
+# Ends once, then hangs once before it is ready and ignores signals, then works.
 HANGS_ONCE = """
 import os, pathlib, signal, sys
 count = pathlib.Path(sys.argv[1])
@@ -76,11 +76,11 @@ def test_a_restarted_program_that_does_not_get_ready_is_aborted_and_started_agai
         "is not ready 2 s after its restart: aborted",
         "ended with signal SIGABRT, restarted in 0.5 s",
     ]
-    watch.until_ready()  # heard, and not waited for any more
+    watch.until_ready()  # received, and not waited for any more
     watch.group.stop()
 
 
-# Gives signs of life, and none any more once it is told to; the second process goes on.
+# Gives signs of life, and none any more after an order; the second process continues.
 FALLS_SILENT = """
 import os, pathlib, signal, sys, time
 first = not pathlib.Path(sys.argv[1]).exists()
@@ -297,7 +297,7 @@ def test_silence_while_bring_up_itself_stood_still_does_not_count(tmp_path: Path
     watch.group.stop()
 
 
-# Tells what it was started with; killed the first time, deaf the second time.
+# Prints its arguments; killed the first time, ignores signals the second time.
 CRASHES_ONCE = """
 import os, pathlib, signal, sys
 count = pathlib.Path(sys.argv[1])

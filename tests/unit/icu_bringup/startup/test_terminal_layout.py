@@ -1,4 +1,4 @@
-"""What bring-up draws at the bottom of a terminal, and the words for it."""
+"""Box of bring-up at the bottom of a terminal, and the words for it."""
 
 from __future__ import annotations
 

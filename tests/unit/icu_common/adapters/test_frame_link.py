@@ -1,4 +1,4 @@
-"""Pictures over a Unix socket arrive whole, a slow reader misses some, a gone server is noticed."""
+"""Images over a Unix socket arrive whole, a slow reader misses some, and a lost server is detected."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def test_slow_reader_misses_frames_but_never_gets_a_torn_one(tmp_path: Path) -> 
     client = FrameClient(tmp_path / "s")
     big = [np.full((1080, 1920, 3), value, np.uint8) for value in (1, 2)]
     for stamp in range(20):
-        server.send(big, stamp)  # never blocks, although nobody reads
+        server.send(big, stamp)  # never blocks, although no program reads
     sender = threading.Thread(target=drain, args=(server,))
     sender.start()
     pictures, stamps_ns, _ = client.read(DEADLINE_S)
@@ -89,7 +89,7 @@ def test_slow_reader_misses_frames_but_never_gets_a_torn_one(tmp_path: Path) -> 
 
 
 def test_a_picture_that_is_held_up_half_way_is_read_on(tmp_path: Path) -> None:
-    """The bench may stand still for longer than a reader waits, on a computer that has too much to do."""
+    """The bench may be held up for longer than a reader waits, on an overloaded computer."""
     server = FrameServer(tmp_path / "s")
     client = FrameClient(tmp_path / "s")
     big = [np.full((1600, 2000, 3), value, np.uint8) for value in (1, 2)]  # more than the socket takes

@@ -127,7 +127,7 @@ def test_progress_elsewhere_is_none_for_what_is_outstanding(
 def test_messages_on_another_topic_do_not_prolong_the_wait(
     ledgers: list[StepLedger], gate: StepGate, clock: Clock
 ) -> None:
-    """The simulation factor is published by the wall clock, also while the time stands still."""
+    """The simulation factor is published by the wall clock, also while simulated time is stopped."""
     camera, detector = ledgers[:2]
     detector.subscribe("/image")
     detector.subscribe("/simulation_factor")
@@ -183,7 +183,7 @@ def test_process_that_has_ended_is_not_waited_for(tmp_path: Path, ledgers: list[
     camera.expect("/image")
     assert not gate.settled() and gate.processes() == 3
     other.kill()
-    # Nobody takes its exit code: bring-up may be suspended itself.
+    # No program collects its exit code: bring-up may be suspended itself.
     os.waitid(os.P_PID, other.pid, os.WEXITED | os.WNOWAIT)
     for pipe in (other.stdout, other.stdin):
         pipe.close()

@@ -1,4 +1,4 @@
-"""What command lines refuse before they do anything."""
+"""Refusals of command lines before any action."""
 
 from __future__ import annotations
 

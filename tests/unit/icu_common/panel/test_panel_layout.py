@@ -135,7 +135,7 @@ def test_errors_name_the_line(old: str, new: str, message: str) -> None:
     "name", ["LOW", "x_1", "L\u00d6SCHEN", "\u00d6L", "1X", "A B", "_", "", "nan", "INF", "Infinity", "INFUSION"]
 )
 def test_what_a_layout_names_can_be_named_in_a_gesture(name: str) -> None:
-    """Another name would stand on the page, and every press on it would be refused."""
+    """Another name would be on the page, and every press on it would be rejected."""
     marked = GOOD.replace("shape: circle\n", f"shape: circle\n    marks_deg: {{{name!r}: 60}}\n")
     for text, command in (
         (GOOD.replace("name: RUN\n", f"name: {name!r}\n"), f"press:{name}"),

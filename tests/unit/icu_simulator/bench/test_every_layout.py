@@ -23,7 +23,7 @@ from icu_simulator.core.renderer import Moment, Renderer, base_from_panel
 
 FOLDER = Path(__file__).parents[4] / "config" / "scopes"
 PINK = ("#e0409a",)
-"""Of the ball's own colour: shining, it hides the ball, which is measured beside it then."""
+"""Of the ball's own colour: when lit, it hides the ball, which is measured off it then."""
 LAYOUTS = sorted(path.stem for path in FOLDER.glob("*.yaml"))
 PANEL_BY_PANEL = pytest.mark.parametrize("name", LAYOUTS, scope="module")
 """One after the other, as the bench keeps what it has drawn of the last panels."""

@@ -67,7 +67,7 @@ def test_the_command_writes_the_committed_files(tmp_path: Path) -> None:
         written, kept = (yaml.safe_load((folder / name).read_text()) for folder in (tmp_path, ROOT / "config/cameras"))
         for key in ("camera_matrix", "distortion_coefficients", "rectification_matrix", "projection_matrix"):
             assert written[key]["data"] == pytest.approx(kept[key]["data"], abs=1e-9)
-            # What is beyond is rounding, which differs from processor to processor.
+            # The rest is rounding, which differs from processor to processor.
             assert written[key]["data"] == [round(value, 13) for value in written[key]["data"]] == kept[key]["data"]
         assert (written["image_width"], written["image_height"]) == (kept["image_width"], kept["image_height"])
 

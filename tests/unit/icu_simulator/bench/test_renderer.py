@@ -112,7 +112,7 @@ def test_light_and_hand(renderer: Renderer) -> None:
 def test_the_stylus_throws_a_shadow_to_the_right_and_down(renderer: Renderer) -> None:
     stopped = press(InstrumentState(), "RUN_STOP", 1.0)
     without = renderer.render(dataclasses.replace(moment(stopped), tip=(0.33, 0.21, 0.0)))[0].astype(float)
-    # Above the bare face left of the inputs; the shaft stands 75 mm higher at its arm.
+    # Above the bare face left of the inputs; the shaft is 75 mm higher at its arm.
     panel_point = np.array([0.100, 0.018, 0.030])
     tip = base_from_panel(QUIET.panel).apply(panel_point)
     above = renderer.render(dataclasses.replace(moment(stopped), tip=tuple(tip)))[0].astype(float)

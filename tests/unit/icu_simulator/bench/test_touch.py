@@ -1,4 +1,4 @@
-"""What the ball touches: control, height, sinking, collisions, turning."""
+"""Touch of the ball: control, height, sinking, collisions, turning."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The rendered picture against the projection: printed edges, heights, the ball's outline."""
+"""The rendered image against the projection: printed edges, heights, the ball's outline."""
 
 from __future__ import annotations
 

@@ -109,7 +109,7 @@ def test_the_print_is_offset_as_a_whole_and_its_letters_have_another_shape() -> 
 
 
 def ink_box(face: np.ndarray, ground: np.ndarray) -> tuple[float, float, float]:
-    """Return width, height and area of what is printed, in texels."""
+    """Return width, height and area of the print, in texels."""
     rows, columns = np.nonzero(np.abs(face.astype(int) - ground).sum(axis=2) > 60)
     return np.ptp(columns) + 1.0, np.ptp(rows) + 1.0, float(len(rows))
 

@@ -90,7 +90,7 @@ def test_names_are_written_in_the_letters_of_any_language(name: str, tmp_path: P
                 *"\u034f\u115f\u1160\u17b4\u180b\u3164\ufe0f\uffa0\U000e0100\U000e0041",  # letters and marks of nothing
                 *"Ａ𝐀Ⓐﷲ",  # look like others
                 *':/\\"<>&;,=%#@*?|`$(){}[]',
-                *"\ud800\ue000\u0378",  # half a character, one of somebody's own, none
+                *"\ud800\ue000\u0378",  # half a character, one of a private range, none
             )
         ),
     ],

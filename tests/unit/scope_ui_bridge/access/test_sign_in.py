@@ -1,4 +1,4 @@
-"""Who gets in: tokens, sessions, and waiting times after wrong passwords."""
+"""Sign-in: tokens, sessions, and waiting times after wrong passwords."""
 
 from __future__ import annotations
 

@@ -1,9 +1,9 @@
 """No flood by an observer or a stranger delays the operator's STOP or keeps new connections out.
 
-Each flood runs in a process of its own. The time of a stop is counted without the time in which the thread of the
-client, or that of the server, waited for a processor: on a busy computer that is most of it, and no work of the server.
-Before the server limited its reading, it needed 81 ms (median) and 1.3 s (longest).
-benchmarks/page/bench_operator_page.py measures the whole time with the real driver.
+Each flood runs in a process of its own. The time of a stop excludes the time in which the thread of the client, or that
+of the server, waited for a processor. On a busy computer that is most of it, and no work of the server. Before the
+server limited its reading, it needed 81 ms (median) and 1.3 s (longest). benchmarks/page/bench_operator_page.py
+measures the whole time with the real driver.
 """
 
 from __future__ import annotations

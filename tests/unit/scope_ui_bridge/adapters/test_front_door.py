@@ -234,7 +234,7 @@ def test_who_is_changed_in_the_file_must_sign_in_anew(passwords: Path, change: s
                 async with client.session.get("/session") as answer:
                     return answer.status == 200
 
-            write_secret(passwords, before.replace("eve:", "Eve:"))  # somebody else's line
+            write_secret(passwords, before.replace("eve:", "Eve:"))  # another program's line
             assert await signed_in()
             passwords.write_text("ada:nonsense")  # in the middle of an edit
             assert await signed_in()
@@ -247,7 +247,7 @@ def test_who_is_changed_in_the_file_must_sign_in_anew(passwords: Path, change: s
 
 
 async def signed_in_s(client: Page) -> float:
-    """Return how long this page's sign-in still lives, as the bridge tells it; infinite while there is no hurry."""
+    """Return the rest of this page's sign-in, as the bridge reports it; infinite while there is no hurry."""
     await client.send(type="alive", client_ms=1.0)
     answer = await client.until(lambda m: m["type"] == "alive" and m["client_ms"] == 1.0)
     return float(answer.get("sign_in_ends_s", "inf"))
@@ -371,7 +371,7 @@ def test_wrong_names_and_passwords_look_alike_and_are_slowed_down(
 def test_two_who_sign_in_at_once_from_one_address_both_come_in_unless_the_first_fails(
     passwords: Path, monkeypatch: pytest.MonkeyPatch, long_waits: None, first: str
 ) -> None:
-    """Whoever comes through a tunnel has the address of the bridge's own machine; and a button is clicked twice."""
+    """A user of a tunnel has the address of the bridge's own machine; and a button is clicked twice."""
     both_there = threading.Event()
     checked: list[str] = []
 

@@ -1,4 +1,4 @@
-"""JPEGs are made beside the bridge, whose real-time scheduling is for the heartbeat and the orders."""
+"""JPEGs are made outside of the bridge, whose real-time scheduling is for the heartbeat and the orders."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Tests of recording from the page: the answers tell the truth, and no end comes too early for the program."""
+"""Tests of recording from the page: the answers are true, and no end comes too early for the program."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from scope_ui_bridge.adapters.recorder import Recorder
 pytestmark = pytest.mark.slow
 
 WITHIN_S = 20.0
-# Like bag_record: slow to start (here until somebody opens the fifo), then it says so, and ends by SIGINT.
+# Like bag_record: slow to start (here until a program opens the fifo), then it reports it, and ends by SIGINT.
 PROGRAM = """#!{python}
 import pathlib, signal, sys
 here = pathlib.Path(__file__).parent
@@ -71,7 +71,7 @@ def test_an_end_that_is_asked_before_the_program_listens_still_leaves_a_whole_ba
 
 
 def test_nothing_is_computed_for_a_recording_that_the_page_does_not_show(tmp_path: Path) -> None:
-    """What is made from the pictures while somebody listens can be made from a recording's."""
+    """Results from the images that a reader requests can be made from a recording's."""
     script = "import pathlib, sys; pathlib.Path(sys.argv[2] + '.said').write_text('\\n'.join(sys.argv))"
     record = made(tmp_path / "record", f"#!{sys.executable}\n{script}\n")
     answers: queue.Queue[str] = queue.Queue()
@@ -111,7 +111,7 @@ print(refusal or os.sched_getscheduler(0) == os.SCHED_RR, said.get(timeout={WITH
     assert re.match("True bag_record ended with 0|real-time scheduling is not allowed", done.stdout), done
 
 
-# The first one ends at once; what it has left behind keeps its output open until somebody opens the fifo.
+# The first one ends at once; its child keeps its output open until a program opens the fifo.
 LEFT_BEHIND = """#!{python}
 import os, pathlib, sys
 here = pathlib.Path(__file__).parent
@@ -125,7 +125,7 @@ os.execv(here / "second", sys.argv)
 
 
 def test_one_that_failed_and_is_noticed_late_hides_no_recording_that_runs(tmp_path: Path) -> None:
-    """Who is looked at must be able to know it, and whoever started it must be able to end it."""
+    """A person in view of the cameras must be able to know it, and the user who started it must be able to end it."""
     os.mkfifo(tmp_path / "gate")
     made(tmp_path / "second", PROGRAM.format(python=sys.executable).replace('(here / "gate").read_text()', ""))
     program = made(tmp_path / "record", LEFT_BEHIND.format(python=sys.executable))

@@ -61,7 +61,7 @@ def test_the_sign_in_form_works() -> None:
 def test_a_foreign_page_that_guesses_tokens_shuts_nobody_out(what: str) -> None:
     async def scenario(rig: Rig) -> None:
         async with page(rig, sign_in=False) as client:
-            # What a browser says of a picture, a frame or a request on a page; a picture needs no Origin.
+            # Headers of a browser for an image, a frame or a request on a page; an image requires no Origin.
             part = {"Sec-Fetch-Dest": what, "Sec-Fetch-Site": "cross-site"}
             for token in ("guess", rig.token):
                 async with client.session.get("/", params={"token": token}, headers=part) as answer:

@@ -1,4 +1,4 @@
-"""What attackers try: foreign origins and hosts, garbage, large messages."""
+"""Attacks: foreign origins and hosts, garbage, large messages."""
 
 from __future__ import annotations
 

@@ -16,7 +16,7 @@ from scope_ui_bridge.adapters.video.video_hub import VideoHub, VideoViewer
 
 
 class ByHand:
-    """Encodes when told to."""
+    """Encodes on request."""
 
     def __init__(self) -> None:
         self.jobs: list[tuple[Future[Any], Any]] = []
@@ -51,7 +51,7 @@ class Sent:
 
 
 def test_a_picture_of_the_future_is_no_younger_than_its_time_on_the_page() -> None:
-    """With an age below 0 the last picture of a camera that has stalled would look live for that long."""
+    """With an age below 0 the last image of a camera that has stalled would look live for that long."""
 
     async def scenario() -> None:
         encoder, socket = ByHand(), Sent()
@@ -102,7 +102,8 @@ def test_no_picture_is_encoded_in_advance_and_grows_old_until_there_is_room() ->
 
 
 def test_a_camera_that_was_not_listened_to_shows_nothing_from_before() -> None:
-    """Who looks at it again would see a picture of minutes ago, and a page in the middle of a motion stop it."""
+    """A user who looks at it again would see an image of minutes ago, and a page in the middle of a motion would stop
+    it."""
 
     async def scenario() -> None:
         encoder, socket = ByHand(), Sent()

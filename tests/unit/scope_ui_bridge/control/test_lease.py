@@ -1,4 +1,4 @@
-"""Who may move the machine: one page at a time."""
+"""The right to move the machine: one page at a time."""
 
 from __future__ import annotations
 

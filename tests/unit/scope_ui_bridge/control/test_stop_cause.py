@@ -27,7 +27,7 @@ def moving(pictures: bool = False) -> Rig:
 def driver_stops(
     rig: Rig, text: str = "stopped: stop requested", values: dict[str, str] = REQUESTED
 ) -> dict[str, Any] | None:
-    """Let the driver stop, and report the code of that state; return the cause that pages are told."""
+    """Make the driver stop, and report the code of that state; return the cause that pages get."""
     rig.wait(0.1)
     rig.desk.set_state("driver", text)
     rig.desk.set_report("driver", text, values)
@@ -70,7 +70,7 @@ def test_an_answer_in_an_earlier_silence_does_not_count() -> None:
     rig.wait(0.3)
     rig.desk.pong(rig.a)
     rig.alive()
-    rig.desk.pong(rig.a)  # of a heartbeat of the socket's own: nobody was asked
+    rig.desk.pong(rig.a)  # of a heartbeat of the socket's own: no reader was asked
     assert of_type(rig.wait(0.7), StopNow)[0].record["target"] == "stopped_link_lost"
 
 

@@ -1,4 +1,4 @@
-"""Who may do what: roles, floods, and changes of control."""
+"""Rights of users: roles, floods, and changes of control."""
 
 from __future__ import annotations
 
@@ -179,7 +179,7 @@ def test_control_is_handed_over_only_to_whose_request_was_read() -> None:
 
 
 def control_lines(effects: list[Effect]) -> list[tuple[str, str, str, str, str]]:
-    """Return what the audit file is told of who has control: who did what to whom, which page, and why."""
+    """Return the audit file's records of control: the user, the action, the other user, the page, and the reason."""
     fields = ("who", "command", "target", "page", "reason")
     lines = [e.record for e in of_type(effects, Record) if e.record["command"].endswith(" control")]
     assert all(line["result"] == "done" and line["wall_s"] > 1.7e9 for line in lines)

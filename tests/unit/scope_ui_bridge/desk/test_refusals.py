@@ -1,4 +1,4 @@
-"""What the desk refuses, and what frees it again."""
+"""Refusals of the desk, and the events that end them."""
 
 from __future__ import annotations
 
@@ -100,7 +100,7 @@ def test_a_panel_that_moved_since_the_selection_voids_it() -> None:
 
 @pytest.mark.parametrize("there", [True, False])
 def test_a_selection_is_void_on_another_panel_that_has_a_control_of_the_same_name(there: bool) -> None:
-    """A panel was taught, or recognition was started anew for another one, since RUN_STOP was chosen."""
+    """A panel was taught, or recognition was restarted for another one, since RUN_STOP was chosen."""
     rig = Rig()
     rig.select(control="RUN_STOP")
     run_stop, *others = rig.desk.scene.faces
@@ -123,7 +123,7 @@ def test_a_selection_is_void_on_another_panel_that_has_a_control_of_the_same_nam
     ],
 )
 def test_a_click_that_is_refused_leaves_nothing_selected(choice: dict[str, Any], code: str) -> None:
-    """Who has just clicked on something else and confirms does not mean what was selected before."""
+    """A user who has just clicked on another control and confirms does not mean the earlier selection."""
     rig = Rig()
     rig.select(control="RUN_STOP")
     effects = rig.select(**choice)
@@ -229,7 +229,7 @@ def test_an_order_that_is_held_up_until_it_is_given_up_does_not_go_out_any_more(
 
 
 def test_an_order_does_not_go_out_when_the_bridge_goes_on_after_it_stood_still() -> None:
-    """Its record was written while the process was stopped; that is heard before the watchdogs have looked."""
+    """Its record was written while the process was stopped; that is known before the watchdogs have looked."""
     rig = Rig()
     rig.wait(0.2, alive=True)
     rig.select(control="RUN_STOP")

@@ -1,4 +1,4 @@
-"""What the pages are told of the desk's state."""
+"""Messages to the pages about the desk's state."""
 
 from __future__ import annotations
 

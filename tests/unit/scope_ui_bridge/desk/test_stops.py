@@ -123,7 +123,7 @@ def test_an_end_that_comes_after_a_command_was_given_up_is_still_told() -> None:
 
 
 def test_a_call_that_was_long_on_its_way_is_not_done_any_more() -> None:
-    """After 3 s its page has said that there is no link: nobody expects that the machine homes then."""
+    """After 3 s its page has reported a lost link: no user expects that the machine homes then."""
     rig = Rig()
     rig.seconds += 3.1
     pressed_ms = (rig.seconds - 1.2) * 1e3

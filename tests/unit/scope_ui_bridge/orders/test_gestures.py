@@ -34,7 +34,7 @@ def desk(*controls: ControlSeen) -> Rig:
 
 
 def pixel(x: float, y: float, z: float = 0.004) -> tuple[float, float]:
-    """Return where a point of the panel (m) is in the left picture."""
+    """Return where a point of the panel (m) is in the left image."""
     rig = Rig()
     (u, v), *_ = rig.desk.scene.project("left", pose().apply([[x, y, z]]))  # type: ignore[misc]
     return float(u), float(v)

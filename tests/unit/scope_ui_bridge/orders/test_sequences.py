@@ -120,7 +120,7 @@ def test_a_sequence_of_as_many_steps_as_are_allowed_and_as_long_ones_goes_out() 
 
 
 def test_a_stored_sequence_is_found_by_its_name_however_its_letters_are_composed() -> None:
-    for system in ("NFC", "NFD"):  # of the file system, and of what a page sends
+    for system in ("NFC", "NFD"):  # of the file system, and of a page's messages
         for page in ("NFC", "NFD"):
             rig = Rig()
             name = stored_name(unicodedata.normalize(system, "Überdruck_prüfen"))

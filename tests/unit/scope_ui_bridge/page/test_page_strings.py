@@ -42,7 +42,7 @@ def test_every_key_that_is_used_exists() -> None:
     assert used - english.keys() == set()
 
 
-# Collected with the sentences, but seen by nobody at the page, or the same in both languages.
+# Collected with the sentences, but never visible on the page, or the same in both languages.
 UNSAID = {
     "names of things and goals": (
         *("gantry controller", "{}: board", "facts {}", "message {}"),

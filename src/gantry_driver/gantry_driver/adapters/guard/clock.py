@@ -14,7 +14,7 @@ class GuardClock:
     """Follows the node's time if the node's clock is not the steady one.
 
     Without a node, or while the node hangs, the clock advances by the time of the simulation's ledger if there is one,
-    else by the steady clock, so that a stop completes. It never goes back, also when the next node connects.
+    else by the steady clock. So a stop completes. It never goes back, also when the next node connects.
 
     Parameters
     ----------

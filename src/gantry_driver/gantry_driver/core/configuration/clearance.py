@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 TUBE_MM = 0.15
-"""Radius of the tube around the path in which reports must lie: at most two motor steps of each axis at 80 steps/mm,
-and a report that is read in mid-step."""
+"""Radius of the tube around the path in which reports must lie. It covers at most two motor steps of each axis at 80
+steps/mm, and a report that is read in mid-step."""
 REPORT_WAY_S = 0.02
 """Duration from a position to the ``!`` at the board: report (70 bytes at 115200 baud: 6 ms), adapter, driver."""
 LOOK_AHEAD_S = 0.05

@@ -76,7 +76,7 @@ def depth_limit_m(plane: PanelPlane, x: float, y: float, intent: Intent, config:
     """Return the maximum depth of a path beyond the face at a point, in metres.
 
     It is the sum of the intent's travel, the plane's uncertainty, and the rise of the plane over the correction of an
-    aim: readings are corrected by the seen error, so the ball touches slightly off the reading's position.
+    aim. Readings are corrected by the seen error, so the ball touches slightly off the reading's position.
     """
     travel = 0.0 if intent is Intent.MOVE else config.overtravel_m
     unsure = SIGMAS * min(plane.sigma_m(x, y), config.envelope.max_sigma_m)

@@ -258,7 +258,7 @@ class GoalRun:
         )
 
     def _unwatched_fault(self, job: Job) -> Fault | None:
-        """Return the fault of a contact of which the stylus tracker has evaluated no image for too long.
+        """Return the fault of a contact without an image that the stylus tracker has evaluated for too long.
 
         The images of a press, which is shorter, may come while the stylus rises.
         """

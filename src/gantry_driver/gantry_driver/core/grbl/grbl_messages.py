@@ -247,7 +247,7 @@ def _numbers(text: str, least: int) -> tuple[float, ...] | None:
 def _position(text: str) -> tuple[float, ...] | None:
     """Return the numbers of a position, None if X, Y and Z do not have the same number of decimals.
 
-    GRBL 1.1h, grblHAL (report.c) and FluidNC (Report.cpp) print X, Y and Z with the same number of decimals, so this
+    GRBL 1.1h, grblHAL (report.c) and FluidNC (Report.cpp) print X, Y and Z with the same number of decimals. So this
     detects a lost or doubled digit after the point. In inches, FluidNC prints rotary axes with another number.
     """
     decimals = {len(number.partition(".")[2]) for number in text.split(",")[:3]}

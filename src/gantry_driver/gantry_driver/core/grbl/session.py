@@ -55,7 +55,7 @@ WIRE_BOUND_POLL_S = 0.05
 """Minimum interval in seconds between status reports while the wire is the limit: a report occupies the wire for as
 long as fifteen answers. The next report shows an unrequested feed override, which must end within 0.1 s."""
 SPARE_LINES = 2
-"""Number of lines for which the board's buffer keeps room while motion is the limit: without this room the buffer is
+"""Number of lines for which the board's buffer keeps room while motion is the limit. Without this room the buffer is
 full, and one surplus answer would make a line overflow it. Streaming is not slower."""
 RESET_RETRY_S = 1.0
 """Seconds after which a reset without a banner is sent again: the board may have ignored it (GRBL does for about 500 ms

@@ -1,7 +1,7 @@
 """Judge from its silence whether a process hangs; no I/O and no clock.
 
 The limit is short, and a busy computer must not exceed it. A process that waits for the processor or for a page of
-memory is late, not hung: this time is excused up to a bound, also if the process runs for a moment in between. A
+memory is late, not hung. This time is excused up to a bound, also if the process runs for a moment in between. A
 process that is stopped, sleeps, or runs without sending has no excuse.
 """
 

@@ -1,4 +1,4 @@
-"""What gantry_monitor shows: positions, states, counts and throughput, from values with their times; no ROS."""
+"""Contents of gantry_monitor: positions, states, counts and throughput, from values with their times; no ROS."""
 
 from __future__ import annotations
 

@@ -72,7 +72,7 @@ class Stopping(BoardSettings):
         if self.phase in (Phase.CLOSED, Phase.SYNCHRONISE, Phase.ALARM_RESET):
             return
         if self.phase is Phase.LIFTING and not hold_written:
-            return  # The retreat already leads to the safe state: a repeated stop lets it finish.
+            return  # The retreat already leads to the safe state: a repeated stop does not interrupt it.
         if self.phase is Phase.STOPPED:
             self._lift = self.config.lift_on_stop and not self._lift_barred  # also if a lost count ended the retreat
         self._halt(reason, now, hold_written=hold_written, lift_again=True)

@@ -158,7 +158,7 @@ def plunge_twice(start: Array, extension_m: float, between_m: float, config: Mot
 def aside(start: Array, middle: Array, by_m: float, config: MotionConfig) -> Path:
     """Move the retracted stylus ``by_m`` from ``middle`` (2,): beyond it if there is room, else to the outer side.
 
-    The arm comes from +y, so the stylus hides least of what is in -y of it. Seen from the cameras over the middle of
+    The arm comes from +y, so the stylus hides least of the panel in -y of it. Seen from the cameras over the middle of
     the travel, the stylus leans outwards.
     """
     x, y = (float(v) for v in middle)

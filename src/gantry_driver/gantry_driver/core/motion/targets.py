@@ -128,8 +128,8 @@ def resolve(
     Raises
     ------
     Refused
-        If the control is unknown or must not be touched, the gesture does not suit it, the point is not on the panel,
-        the panel is tilted too far, or a raised neighbour is in the way.
+        If the control is unknown or must not be touched, or the gesture does not suit it. Also if the point is not on
+        the panel, the panel is tilted too far, or a raised neighbour is in the way.
     """
     base_from_panel = scene.base_from_panel
     tilt = math.degrees(math.acos(max(-1.0, min(1.0, float(base_from_panel.rotation[2, 2])))))

@@ -1,6 +1,6 @@
 """Check of G-code programs, line by line, before the first byte is sent: modes, length, arcs, travel.
 
-The rules are those of GRBL 1.1's parser (messages name its error numbers), and one rule of this machine: every target,
+The rules are those of GRBL 1.1's parser; messages name its error numbers. This machine adds one rule: every target,
 relative or with a work offset, must lie inside the travel, and so must a whole arc.
 
 The driver sends an equivalent program (docs/decisions/lines-after-a-reset.md). Each move names its motion at the end of

@@ -1,9 +1,9 @@
 """Division of a path into stages: each ends at rest, where reports must prove that the board is at the stage's end.
 
-A stage ends at every extreme of z, at every reversal of the path, and ``clearance_m`` above the deepest point of a
-descent that also moves sideways or is not written in the frame below. The driver sends the next stage only after that
-proof. Whatever happens to a line of the descent, the stylus is above the panel until the board has reported the right
-position.
+A stage ends at every extreme of z, and at every reversal of the path. It also ends ``clearance_m`` above the deepest
+point of a descent that also moves sideways or is not written in the frame below. The driver sends the next stage only
+after that proof. Whatever happens to a line of the descent, the stylus is above the panel until the board has reported
+the right position.
 
 While the stylus is extended, lines are written in a separate frame (``G92``), in which the deepest point of the path is
 Z0, and X and Y are 100 to 999. The board reports frame and modes before the driver sends the first of these lines. A
@@ -349,7 +349,7 @@ def _limit_s(motion: Motion, stages: Sequence[Stage], config: DriverConfig) -> f
     """Return twice the expected duration and a surplus.
 
     The expected duration includes the moves (at their feeds, or at an axis's rate if that is lower), the acceleration
-    and deceleration at every corner of the path, the dwells, the lines, and the proofs.
+    and deceleration at every corner of the path. It also includes the dwells, the lines, and the proofs.
     """
     orders = len(motion.parts) - len(motion.moves)
     seconds = STAGE_S * len(stages) + LINE_S * len(motion.parts) + config.stylus.dwell_s * orders

@@ -1,9 +1,9 @@
 """Comparison of each report with the sent path: a tube, the deepest point, the highest feed.
 
-GRBL follows a G1 exactly and cuts no corner, so the tube is narrow: whole motor steps, the rounding of line and report,
-and the steps that the board makes while it writes a report. The time between two reports limits the distance that the
-board can have moved along the path. A report on the path, but too far ahead, is therefore outside as well: the board
-omitted a detour.
+GRBL follows a G1 exactly and cuts no corner, so the tube is narrow. It contains whole motor steps, the rounding of line
+and report, and the steps that the board makes while it writes a report. The time between two reports limits the
+distance that the board can have moved along the path. A report on the path, but too far ahead, is therefore outside as
+well: the board omitted a detour.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """The G-code parser of the mock board: one line and the modal state in, a checked block or an error number out.
 
 Words, their conflicts and error numbers follow GRBL 1.1's documents (doc/csv/error_codes_en_US.csv,
-doc/markdown/commands.md) and RS274/NGC (NIST, 2000), tables 4 and 5; where these differ from the firmware, the firmware
-(gcode.c).
+doc/markdown/commands.md) and RS274/NGC (NIST, 2000), tables 4 and 5. Where these differ from the firmware, the firmware
+is right (gcode.c).
 """
 
 from __future__ import annotations

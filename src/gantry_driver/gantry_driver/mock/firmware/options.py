@@ -23,9 +23,9 @@ class BoardOptions:
     mist: bool = False
     """Whether the firmware is built with M7."""
     dialect: str = "GRBL"
-    """One of :data:`RX_BYTES`. Of the other dialects the mock has only the banner, build information, buffer, reported
-    settings, and the effects of reset, homing and alarm on offsets and tools (grblHAL's gcode.c, motion_control.c;
-    FluidNC's Protocol.cpp)."""
+    """One of :data:`RX_BYTES`. Of the other dialects the mock has only the banner, build information, buffer, and
+    reported settings. It also has the effects of reset, homing and alarm on offsets and tools (grblHAL's gcode.c,
+    motion_control.c; FluidNC's Protocol.cpp)."""
 
     @property
     def rx_bytes(self) -> int:

@@ -82,7 +82,7 @@ class BoardDetector:
     board
         Board to find.
     quick
-        Stop early if there seems to be no board: for live images, of which the next one may succeed.
+        Stop early if there seems to be no board: for live images, where the next one may succeed.
     """
 
     def __init__(self, board: Board, *, quick: bool = False) -> None:

@@ -31,7 +31,7 @@ class Reach:
     low, high
         Limits of the range.
     missing
-        What to show the camera next; empty if the range is covered.
+        Advice for the next view; empty if the range is covered.
     """
 
     name: str

@@ -274,7 +274,8 @@ class HarrisDetector:
         -------
         tuple
             The corners, and bitmaps (2, H + 3, B) uint8 (see bitmap.py) of the pixels with R < 0 that are minima of R
-            across the edge: those at least as strong as ``low``, and those at least as strong as ``high``.
+            across the edge. The first bitmap has those at least as strong as ``low``, the second those at least as
+            strong as ``high``.
 
         Raises
         ------

@@ -274,8 +274,8 @@ def walk(cells: Array, right: Array, down: Array, steps: int) -> None:
     cells
         (H, W, K) float32, K values per cell.
     right, down
-        (H, W) float32, conductivity to the next cell of the row, and of the column, times the time of a step; zero in
-        the last column, and in the last row.
+        (H, W) float32, conductivity to the next cell of the row, and of the column, times the time of a step. It is
+        zero in the last column, and in the last row.
     steps
         Number of steps.
     """

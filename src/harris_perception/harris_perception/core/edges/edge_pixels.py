@@ -31,8 +31,8 @@ def _tables() -> tuple[npt.NDArray[Any], ...]:
     neighbours to which a line continues.
 
     A pixel is redundant if at least two neighbours are set and stay connected without it (Yokoi's number, 8-connected).
-    It is certainly redundant if it is not the end of a line wider than a pixel, which has two adjacent neighbours:
-    while there are other redundant pixels, such ends would be removed one by one.
+    It is certainly redundant if it is not the end of a line wider than a pixel, which has two adjacent neighbours.
+    While there are other redundant pixels, such ends would be removed one by one.
     """
     full = np.array([[pattern >> i & 1 for i in range(8)] for pattern in range(256)])
     empty = 1 - full

@@ -311,8 +311,8 @@ def trace(
     Returns
     -------
     tuple
-        Whether all corners lie inside the image, else nothing is traced; points (K, 2) int32 x, y; starts (C + 1,):
-        chain i is points[starts[i]:starts[i + 1]], a closed one repeats its first point.
+        Whether all corners lie inside the image, else nothing is traced; points (K, 2) int32 x, y; starts (C + 1,).
+        Chain i is points[starts[i]:starts[i + 1]], a closed one repeats its first point.
     """
     corners, places = np.empty((len(corners_xy), 2), np.int32), np.empty((len(corners_xy), 2), np.int32)
     count = 0

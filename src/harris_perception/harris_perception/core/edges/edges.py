@@ -77,8 +77,8 @@ class EdgeConfig(TracingConfig):
     """Settings of outlines.
 
     The window over the products is 1 2 1 in both directions. Strengths are multiplied by the difference between both
-    sides of an edge, in values (coded in soft bins) and texture: at a coarse scale, and between the regions that edges
-    separate. The mean surrounding strength is subtracted, so that texture counts less than outlines.
+    sides of an edge, in values (coded in soft bins) and texture. It is taken at a coarse scale, and between the regions
+    that edges separate. The mean surrounding strength is subtracted, so that texture counts less than outlines.
     """
 
     sigma_d_px: float = setting(

@@ -50,7 +50,7 @@ def measure_backlash(calibration: HandEye, axis: int, pairs: Sequence[tuple[Plac
         for below, above in pairs
     ]
     # The backlash is only along the rail. At the image border, where these positions are, the line of sight is oblique,
-    # and a depth error along it looks like backlash: the direction with the largest error must have no weight. The
+    # and a depth error along it looks like backlash. So the direction with the largest error must have no weight. The
     # covariances themselves are too inaccurate to be weights: pairs that seem good by chance would dominate.
     badly = sum(below.per_pixel + above.per_pixel for below, above in pairs)
     weight = np.linalg.solve(badly, rail)

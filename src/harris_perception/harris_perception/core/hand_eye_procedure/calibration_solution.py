@@ -28,7 +28,7 @@ from icu_common.core.geometry.geometry import Array
 
 _EDGE = 1.4
 """Ratio of a tip's variance at the ends of the travel, where the backlash is measured, to that from the misfit at all
-positions: the most likely value for seeds 100 to 149 of the benchmark with fixed cameras."""
+positions. It is the most likely value for seeds 100 to 149 of the benchmark with fixed cameras."""
 _SCATTER = 3.0
 """Maximum error at a held-out position, relative to the rms misfit of all samples, if that is above the limit."""
 

@@ -1,6 +1,7 @@
 """Operations on arrays of pixels that the other packages share.
 
-Encodings to grey (``gray``), values between pixels and means around them (``sampling``), medians (``medians``), bits
-for the loops (``bitmap``, ``lanes``), recursive Gaussian derivatives (``deriche``), the noise of an image (``noise``),
-edge-preserving diffusion (``diffusion``), drawings for people (``overlay``), and the compiler (``compiled``: numba).
+``gray`` converts encodings to grey, ``sampling`` gives values between pixels and means around them, and ``medians``
+medians. ``bitmap`` and ``lanes`` hold bits for the loops, and ``deriche`` recursive Gaussian derivatives. ``noise``
+measures an image's noise, ``diffusion`` is edge-preserving, ``overlay`` draws for people, and ``compiled`` is the
+compiler (numba).
 """

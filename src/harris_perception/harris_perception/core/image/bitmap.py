@@ -1,8 +1,8 @@
 """Images of one bit per pixel: small enough for the cache, and eight pixels are tested at once.
 
 Pixel (x, y) is bit ``MARGIN + x`` of row y + 1; its *place* is its index among all bits. All bits around the image are
-zero: one row above, one below, and between rows a margin so wide that no window around a pixel reaches pixels of the
-neighbouring row. One more row at the end allows whole words to be read there.
+zero. There is one row above, one below, and between rows a margin so wide that no window around a pixel reaches pixels
+of the neighbouring row. One more row at the end allows whole words to be read there.
 """
 
 from __future__ import annotations

@@ -106,7 +106,7 @@ def eight_bits(picture: npt.NDArray[Any], level: float | None = None) -> npt.NDA
 
     The number of bits that a camera uses of 16 is unknown: the smallest of 8, 10, 12, 14 and 16 that holds the image's
     largest value is assumed. A glint or a hot pixel therefore does not darken the rest, as long as the brightest
-    position has a quarter of full light; a darker scene becomes brighter by its unused bits. For images that are
+    position has a quarter of full light. A darker scene becomes brighter by its unused bits. For images that are
     compared, pass one ``level`` of :class:`GreyLevels`.
     """
     if picture.dtype == np.uint8:
@@ -135,7 +135,7 @@ def grey_level_of(gray: npt.NDArray[Any]) -> float:
 class GreyLevels:
     """Size of one grey level in images that are compared: images of one camera, or both images of a pair.
 
-    Levels of single images may differ by a factor of four: the largest value may be just below a power of two in one
+    Levels of single images may differ by a factor of four. The largest value may be just below a power of two in one
     image, and just above in the next. The value of a single instant is used only for that instant, as an image may be
     corrupt.
     """

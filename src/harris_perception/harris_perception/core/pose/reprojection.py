@@ -24,7 +24,7 @@ _STEP = 1e-10
 _LEAST_PX = 0.01
 """Lower limit of a point's standard deviation, whatever its residual."""
 _ALIKE_PX, _CELLS = 0.5, 10
-"""Lag, in px, at which the errors of an edge are uncorrelated, and number of cells it is divided into: the error
+"""Lag, in px, at which the errors of an edge are uncorrelated, and number of cells it is divided into. The error
 repeats with the pixels, and half a pixel on it is opposite."""
 _FLOOR_PX = 0.1
 """Residuals of the panel's points below a few times this are never outliers."""
@@ -106,7 +106,7 @@ def refine_panel(
     """Refine the panel's rotation, common to all views, and the regression of its origin, by all measured points.
 
     Tukey's weights make the fit robust. The points of one view share errors (the same print, the same light), so views
-    are independent and points are not: the covariance is scaled by the error of each view.
+    are independent and points are not. So the covariance is scaled by the error of each view.
 
     Parameters
     ----------

@@ -13,8 +13,8 @@ from harris_perception.core.pose.planar_pose import inverse, map_points
 from harris_perception.core.recognition.panel_template import PanelTemplate
 from icu_common.core.geometry.geometry import Array
 
-# Share of agreeing patches that counts as most of a neighbourhood; number of agreeing neighbours, less a rounding
-# error, that makes a patch adjacent to them; minimum share of the print's variance for print.
+# Share of agreeing patches that counts as most of a neighbourhood. Number of agreeing neighbours, less a rounding
+# error, that makes a patch adjacent to them. Minimum share of the print's variance for print.
 _MOST = 0.6
 _BESIDE = 1.5
 _PRINT = 0.25

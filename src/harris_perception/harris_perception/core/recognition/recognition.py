@@ -2,7 +2,7 @@
 
 A new panel is searched by descriptors at Harris corners, which are matched with those of a template pyramid under a
 robust homography (RANSAC). Every pose that the matches suggest is measured (``face_measurement``), and the one with
-most agreeing print is judged: a strip of matches, which may be all that a hand leaves visible, fits two poses about
+most agreeing print is judged. A strip of matches, which may be all that a hand leaves visible, fits two poses about
 equally well. The same measurement tracks the panel from frame to frame.
 
 A patchwise correlation with the template decides whether to accept a pose, and several frames must agree before it

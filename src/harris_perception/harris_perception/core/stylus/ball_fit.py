@@ -98,10 +98,10 @@ def fit_circle(at: Array, outward: Array, radius: float) -> tuple[Array, Array]:
 def fit_shaded(at: Array, view: BallView, radius: float, seen: npt.NDArray[np.bool_]) -> tuple[Array, float, float]:
     """Fit a shaded, blurred disc to the pixels around the visible part of the outline.
 
-    The contour at half brightness lies too far inside where the ball is dark. The model is therefore: the chroma of a
-    pixel is the ball's chroma, which varies linearly with the surface normal (Lambert), times the share of the pixel
-    that the ball covers, plus ``view.around`` for the rest. The share is a normal distribution's integral across the
-    outline. The fit is Gauss-Newton over centre, radius, blur and brightness with Tukey's weights.
+    The contour at half brightness lies too far inside where the ball is dark. In the model, the chroma of a pixel is
+    therefore the ball's chroma times the share of the pixel that the ball covers, plus ``view.around`` for the rest.
+    The ball's chroma varies linearly with the surface normal (Lambert). The share is a normal distribution's integral
+    across the outline. The fit is Gauss-Newton over centre, radius, blur and brightness with Tukey's weights.
 
     Parameters
     ----------

@@ -3,7 +3,7 @@
 The shaft hides a part of the ball, so a centroid would be biased. Instead the visible outline is measured to a fraction
 of a pixel (ball_view.py). A circle with the size of the ball at its distance is fitted to the part of the outline that
 agrees (ball_fit.py). In the plane that touches the viewing sphere at the ball's centre the outline of a sphere is an
-exact circle, for any lens distortion and any position in the image.
+exact circle. This holds for any lens distortion and any position in the image.
 """
 
 from __future__ import annotations

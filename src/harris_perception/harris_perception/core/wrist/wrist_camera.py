@@ -33,9 +33,9 @@ from icu_common.core.geometry.geometry import Transform
 _RIVAL_RATIO = 4.0
 """Ratio of squared residuals, in units of the first calibration's noise, at which a second calibration is refuted.
 
-In 540 sets of three to six poses whose gripper moved by 0.3 to 3 mm in each direction (noise 0.5 mrad and 0.3 mm), the
-wrong calibration had the smaller squares in 20: in one by more than a factor of two, in none by four. A factor of four
-in likelihood means odds of 64 to 1 for three poses (six degrees of freedom), and of 4096 to 1 for four.
+540 sets of three to six poses had a gripper that moved by 0.3 to 3 mm in each direction (noise 0.5 mrad and 0.3 mm).
+The wrong calibration had the smaller squares in 20 of them: in one by more than a factor of two, in none by four. A
+factor of four in likelihood means odds of 64 to 1 for three poses (six degrees of freedom), and of 4096 to 1 for four.
 """
 
 
@@ -47,8 +47,8 @@ def calibrate_wrist(
     Raises
     ------
     DegenerateError
-        For too few poses, a wrist that did not rotate or rotated about one axis only (with the motion that would help),
-        too many poses that do not fit, and a too large misfit of the others.
+        For too few poses, too many poses that do not fit, or a too large misfit of the others. Also for a wrist that
+        did not rotate, or rotated about one axis only; the message names the motion that would help.
     """
     config = config if config is not None else WristConfig()
     count = len(base_from_gripper)

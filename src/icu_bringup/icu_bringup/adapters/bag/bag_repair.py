@@ -224,7 +224,7 @@ _UNPACK: dict[str, Callable[[bytes], bytes]] = {
 
 
 def _rolled_back(file: Path) -> sqlite3.Connection:
-    # Opening for writing lets sqlite roll back an unfinished transaction (its journal is next to the file).
+    # When sqlite opens a file for writing, it rolls back an unfinished transaction (its journal is next to the file).
     database = sqlite3.connect(f"{file.absolute().as_uri()}?mode=rw", uri=True)
     database.execute("SELECT count(*) FROM sqlite_master").fetchone()
     return database

@@ -1,6 +1,6 @@
 """Readers based on rosbags that trust the files: metadata.yaml decides the QoS and nothing else.
 
-rosbags joins a topic of metadata.yaml with one of a file only if both have the same QoS, and returns no message of a
+rosbags joins a topic of metadata.yaml with one of a file only if both have the same QoS. It returns no message of a
 topic whose QoS a user has edited. It also trusts the times and counts of metadata.yaml.
 """
 

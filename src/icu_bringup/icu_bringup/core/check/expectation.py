@@ -64,7 +64,7 @@ class Run:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TopicExpectation:
-    """What is expected on one topic.
+    """Expectation of one topic.
 
     Attributes
     ----------

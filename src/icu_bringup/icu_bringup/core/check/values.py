@@ -56,8 +56,8 @@ class Value:
     kind
         Kind of the value.
     data
-        Numbers as (N,) float64; a rotation as (4,) x, y, z, w; an image as (H, W) or (H, W, C); the points of a cloud
-        as (N, F) float64; an empty array for a text.
+        Numbers as (N,) float64, a rotation as (4,) x, y, z, w, and an image as (H, W) or (H, W, C). The points of a
+        cloud as (N, F) float64; an empty array for a text.
     text
         A text, or the names of a cloud's F fields.
     whole

@@ -14,8 +14,8 @@ from icu_bringup.export.core.session import JOINTS, RESULT, TRAJECTORY_RESULT, R
 from icu_common.core.configuration.text_bounds import plain
 
 MIN_MESSAGES, STEADY, OFF, LONGEST = 10, 0.8, 0.5, 3.0
-"""A topic is steady if it has ``MIN_MESSAGES`` and the share ``STEADY`` of its intervals is off the median
-by at most ``OFF`` of it; an interval of more than ``LONGEST`` times the median is a gap."""
+"""A topic is steady if it has ``MIN_MESSAGES`` and the share ``STEADY`` of its intervals is off the median by at most
+``OFF`` of it. An interval of more than ``LONGEST`` times the median is a gap."""
 MAX_GOALS = 100
 IMAGES = tuple((f"/stereo/{side}/image_raw", f"/stereo/{side}/image_raw/compressed") for side in ("left", "right"))
 INFO = tuple(f"/stereo/{side}/camera_info" for side in ("left", "right"))

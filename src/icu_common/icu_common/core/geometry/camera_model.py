@@ -60,8 +60,8 @@ class CameraModel:
     Raises
     ------
     ValueError
-        If the size or a shape is wrong, a value is not finite, a focal length is not above 0, ``r`` is no rotation, or
-        ``k`` or ``p`` (which has no skew) is not a pinhole's.
+        If the size or a shape is wrong, a value is not finite, or a focal length is not above 0. Also if ``r`` is no
+        rotation, or ``k`` or ``p`` (which has no skew) is not a pinhole's.
     """
 
     name: str

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 
 HIDDEN_BY = ("", "stylus", "something", "edge")
-"""What hides a control: nothing, the robot's own stylus or arm, something else such as a hand, or the edge of the
+"""Causes that hide a control: none, the robot's own stylus or arm, something else such as a hand, or the edge of the
 image. Cameras on the carriage see a control beyond the edge after they have moved to it."""
 
 LAMPS = ("off", "white", "red", "amber", "yellow", "green", "cyan", "blue", "violet")

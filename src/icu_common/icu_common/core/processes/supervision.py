@@ -18,4 +18,4 @@ HANGING_VARIABLE = "ICU_HANGING_FILE"
 """Variable with the file of the hanging programs: see icu_common.adapters.processes.hanging_programs."""
 
 DEAF = 75
-"""Exit code of a program that must be restarted (EX_TEMPFAIL of sysexits.h): see icu_common.nodes.hearing."""
+"""Exit code of a program that must be restarted (EX_TEMPFAIL of sysexits.h): see ``icu_common.nodes.hearing``."""

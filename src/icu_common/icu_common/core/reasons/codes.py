@@ -1,7 +1,7 @@
 """Stable codes of the reasons for a published state; programs decide by them, never by the words of the reason.
 
-A program reports the code of its state on ``/diagnostics``: the status whose value ``topic`` names the state topic has
-the text of the state as its message, and the code and its values by name.
+A program reports the code of its state on ``/diagnostics``, in the status whose value ``topic`` names the state topic.
+This status has the text of the state as its message, and the code and its values by name.
 """
 
 from __future__ import annotations

@@ -182,7 +182,7 @@ class FrontDoor:
             await asyncio.sleep(0)  # else consecutive requests of one connection would run in one turn of the loop
 
     def user_of(self, cookie: str) -> str:
-        """Return the user of a session's cookie, NOBODY if there is none."""
+        """Return the user of a session's cookie, ``NOBODY`` if there is none."""
         session = self._sign_in.session(cookie, time.monotonic())
         return session.name if session is not None else NOBODY
 

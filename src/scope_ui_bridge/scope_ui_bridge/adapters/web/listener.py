@@ -49,7 +49,7 @@ class Gate(asyncio.Protocol):
     Attributes
     ----------
     user
-        The user's name after the first request with a session, before that NOBODY.
+        The user's name after the first request with a session, before that ``NOBODY``.
     """
 
     def __init__(self, listener: Listener, remote: str) -> None:
@@ -144,7 +144,7 @@ class Listener:
     make_handler
         Creates the web server's protocol for a connection.
     whose
-        Returns the user of a session's cookie, NOBODY for none.
+        Returns the user of a session's cookie, ``NOBODY`` for none.
     spares
         Returns whether a user is or was the operator: these connections are closed last.
     limit

@@ -23,7 +23,7 @@ class SocketGate:
     Parameters
     ----------
     door
-        Sessions, and records of what was refused.
+        Sessions, and records of refusals.
     tasks
         Closes the connections that newer ones replace.
     slots

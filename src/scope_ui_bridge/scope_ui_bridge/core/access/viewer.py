@@ -23,7 +23,7 @@ _TELL_RATE_EVERY_S = 1.0
 SHORT = 2048
 """Maximum size of a message of a page without control, in characters: only orders are longer."""
 FLOODING = "flooding"
-"""Refusal that ends a page's connection because it kept sending after it was told to slow down."""
+"""Refusal that ends a page's connection because it kept sending after the request to slow down."""
 
 
 @dataclass(slots=True)

@@ -1,4 +1,4 @@
-"""Who may move the machine, for how long, and why it was stopped.
+"""The right to move the machine, its duration, and the cause of a stop.
 
 Enters: requests for control, keep-alives, held arrows, stops and their causes. Leaves: the holder of control, the next
 step of a jog, and the cause that the pages show. ``lease`` is the right to move, ``jog`` an arrow that a page holds,

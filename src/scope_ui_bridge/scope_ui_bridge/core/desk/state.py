@@ -16,7 +16,7 @@ from scope_ui_bridge.core.video import Scene
 
 @dataclass(slots=True, kw_only=True)
 class DeskState:
-    """What the desk knows, and what is held at the moment.
+    """State of the desk, with the jog and the image that are held.
 
     Attributes
     ----------

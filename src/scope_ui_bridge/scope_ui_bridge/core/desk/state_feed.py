@@ -1,4 +1,4 @@
-"""What the pages show: the first message for a new page, and later each part that has changed."""
+"""Contents of the pages: the first message for a new page, and later each part that has changed."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class StateFeed:
     Parameters
     ----------
     state, chosen
-        What is shown.
+        State that the pages show.
     title, robot
         Names of instrument and robot.
     """

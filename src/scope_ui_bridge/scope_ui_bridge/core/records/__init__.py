@@ -1,4 +1,4 @@
-"""What was done, by whom, and with what result.
+"""Record of commands: the action, the user and the result.
 
 Enters: commands, their results, and changes of parameters. Leaves: log entries for the pages, and lines for the audit
 file. ``command_log`` has the newest commands and those without a result, ``audit`` chains the lines of the audit file

@@ -1,4 +1,4 @@
-"""What the graph reports, as the desk knows it.
+"""Reports of the graph, as the desk knows them.
 
 Enters: states, positions, results and reports of nodes. Leaves: messages for the pages, and refusals while the machine
 must not move. ``machine_view`` has the machine and the stamps of its images, ``panel_view`` lamps and knobs,
