@@ -15,5 +15,5 @@ RUN apt-get update && rosdep update --rosdistro jazzy \
 FROM tools AS demo
 COPY . .
 RUN bash -c 'source /opt/ros/jazzy/setup.bash && scripts/setup.sh'
-ENTRYPOINT ["bash", "-c", "source /opt/ros/jazzy/setup.bash && exec ros2_ws/install/scope_bench/lib/scope_bench/bring_up \"$@\"", "bring_up"]
+ENTRYPOINT ["bash", "-c", "source /opt/ros/jazzy/setup.bash && exec ros2_ws/install/icu_bringup/lib/icu_bringup/bring_up \"$@\"", "bring_up"]
 CMD ["--profile", "bench", "--prepare"]

@@ -15,7 +15,7 @@ help: ## this list
 
 demo: ## set up and run the whole robot on the simulated bench; Ctrl-C ends it, VERBOSE=1 prints everything
 	@scripts/setup.sh
-	@exec $(INSTALL)/scope_bench/lib/scope_bench/bring_up --profile bench --prepare $(if $(VERBOSE),--verbose)
+	@exec $(INSTALL)/icu_bringup/lib/icu_bringup/bring_up --profile bench --prepare $(if $(VERBOSE),--verbose)
 
 # Three tiers, each with all of the one before: test-quick, test, test-all. A test's folder and marker (pyproject.toml)
 # say to which it belongs. Three at a time on two cores: the tests of nodes wait for much of their time. Tests that
@@ -120,7 +120,7 @@ interfaces: ## write topics, services and parameters of every node anew, with wh
 docs: ## API documentation in artifacts/api; a warning is an error
 	@scripts/setup.sh dev
 	@$(VENV)/python -W error -W ignore::DeprecationWarning -m pdoc --docformat numpy --output-directory artifacts/api \
-		icu_common harris_perception gantry_driver scope_ui_bridge scope_bench
+		icu_common harris_perception gantry_driver scope_ui_bridge icu_simulator icu_bringup
 
 story: ## a new user's whole way at the page on the whole graph; pictures in artifacts/story
 	@scripts/setup.sh dev

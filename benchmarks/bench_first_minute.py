@@ -33,7 +33,7 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT / "tests"))
 from system.operator_browser import OPTIONS, Operator, browser_program  # noqa: E402
 
-BRING_UP = ROOT / "ros2_ws" / "install" / "scope_bench" / "lib" / "scope_bench" / "bring_up"
+BRING_UP = ROOT / "ros2_ws" / "install" / "icu_bringup" / "lib" / "icu_bringup" / "bring_up"
 KEPT = OUT / "first_minute_runs.csv"
 """File of all runs, written after each run, because the whole measurement takes hours."""
 READY_S = 900.0

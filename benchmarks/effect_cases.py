@@ -1,8 +1,8 @@
 """Cases for measurements, made from the declarations of the simulated bench's effects.
 
-An effect is a nested configuration of the class :class:`scope_bench.imaging.effect.Effect`: its values are its ordinary
-size, ``SCALED`` names the fields that are doubled, ``SOURCE`` is the source of the sizes. The kinds of keys are effects
-as well, and so are some settings whose default is no error.
+An effect is a nested configuration of the class :class:`icu_simulator.imaging.effect.Effect`: its values are its
+ordinary size, ``SCALED`` names the fields that are doubled, ``SOURCE`` is the source of the sizes. The kinds of keys
+are effects as well, and so are some settings whose default is no error.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from icu_common.core.configuration.config import Config, settings_of, to_mapping
-from scope_bench.core.configuration import BenchConfig
-from scope_bench.imaging.effect import Effect
+from icu_simulator.core.configuration import BenchConfig
+from icu_simulator.imaging.effect import Effect
 
 NOMINAL, TWICE = "nominal", "twice"
 PARTS = ("stylus.switch",)

@@ -71,7 +71,7 @@ def programs(parent: int) -> dict[str, int]:
     return found
 
 
-_MODULES = {"scope_bench.cli.fork_server": "starter", "gantry_driver.cli.gantry_guard": "gantry_guard"}
+_MODULES = {"icu_bringup.cli.fork_server": "starter", "gantry_driver.cli.gantry_guard": "gantry_guard"}
 """Names of programs started as modules."""
 
 

@@ -235,8 +235,8 @@ def fetch(folder: Path) -> None:
 
 
 def run(program: str, *arguments: str | Path) -> tuple[int, str]:
-    """Run a program of scope_bench; return its exit code and its output."""
-    command = [sys.executable, "-m", f"scope_bench.cli.{program}", *map(str, arguments)]
+    """Run a program of icu_bringup; return its exit code and its output."""
+    command = [sys.executable, "-m", f"icu_bringup.cli.{program}", *map(str, arguments)]
     done = subprocess.run(
         command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, timeout=300, check=False
     )
@@ -262,7 +262,7 @@ def matrix_row(one: PublicBag, path: Path, folder: Path, *, check: bool) -> str:
     codes += [code, run("bag_export", path, "--out", folder / "out")[0]]
     if check:
         made = ["--make", "--expect", folder / "made.yaml", "--out", folder / "report"]
-        command = [ROOT / "ros2_ws" / "install" / "scope_bench" / "lib" / "scope_bench" / "bag_check", path, *made]
+        command = [ROOT / "ros2_ws" / "install" / "icu_bringup" / "lib" / "icu_bringup" / "bag_check", path, *made]
         done = subprocess.run(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, timeout=300, check=False)
         codes.append(done.returncode)
     shown = f"{one.count} / {read[1] if read else '-'} / {played[1] if played else '-'}"

@@ -17,9 +17,9 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
 
+from icu_bringup.adapters.graph_names import hold, is_held
 from icu_common.nodes.graph_node import GraphNode
 from icu_common.nodes.runtime import prepare_transport
-from scope_bench.adapters.graph_names import hold, is_held
 
 T = TypeVar("T", bound=Node)
 Describe = Callable[[], Any]

@@ -59,12 +59,12 @@ from icu_common.core.geometry.camera_model import CameraModel, StereoModel
 from icu_common.core.geometry.frames import BASE, JOINTS
 from icu_common.core.goals.results import GoalResult
 from icu_common.core.panel.panel_layout import PanelLayout, load_layout
-from scope_bench.core.bench import Bench
-from scope_bench.core.configuration import BenchConfig
-from scope_bench.core.optics import stereo_rig
-from scope_bench.core.renderer import Renderer
-from scope_bench.imaging.stream import CameraStream
-from scope_bench.imaging.timing import Shot, shots
+from icu_simulator.core.bench import Bench
+from icu_simulator.core.configuration import BenchConfig
+from icu_simulator.core.optics import stereo_rig
+from icu_simulator.core.renderer import Renderer
+from icu_simulator.imaging.stream import CameraStream
+from icu_simulator.imaging.timing import Shot, shots
 
 START_S = 1000.0
 FRAME_S = 1 / 15

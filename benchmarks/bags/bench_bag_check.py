@@ -20,9 +20,9 @@ import cv2
 import numpy as np
 from rosbags.typesys import Stores, get_typestore
 
-from scope_bench.adapters.bag.bag_reader import BagReader
-from scope_bench.adapters.bag.bag_writer import BagWriter
-from scope_bench.adapters.bag.bags import BagTopic
+from icu_bringup.adapters.bag.bag_reader import BagReader
+from icu_bringup.adapters.bag.bag_writer import BagWriter
+from icu_bringup.adapters.bag.bags import BagTopic
 
 sys.path.append(str(Path(__file__).resolve().parents[1]))
 from rows import bound, row, write
@@ -97,7 +97,7 @@ def run(*arguments: str | Path) -> tuple[float, str]:
     command = [str(Path(sys.executable).with_name("bag_check"))]
     if not Path(command[0]).is_file():
         root = Path(__file__).parents[2]
-        command = [str(root / "ros2_ws/install/scope_bench/lib/scope_bench/bag_check")]
+        command = [str(root / "ros2_ws/install/icu_bringup/lib/icu_bringup/bag_check")]
     begun_s = time.monotonic()
     done = subprocess.run(
         [*command, *map(str, arguments)], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, check=False

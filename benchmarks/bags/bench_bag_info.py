@@ -89,7 +89,7 @@ def main() -> None:
         size_gb = file.stat().st_size / 1e9
         begun_s = time.monotonic()
         done = subprocess.run(
-            [sys.executable, "-m", "scope_bench.cli.bag_info", str(file)], stdout=subprocess.PIPE, check=True
+            [sys.executable, "-m", "icu_bringup.cli.bag_info", str(file)], stdout=subprocess.PIPE, check=True
         )
         took_s = time.monotonic() - begun_s
     used = resource.getrusage(resource.RUSAGE_CHILDREN)

@@ -18,10 +18,10 @@ from mcap.writer import CompressionType, Writer
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import Image
 
+from icu_bringup.adapters.bag.bag_writer import BagWriter
+from icu_bringup.adapters.bag.bags import BagTopic
 from icu_common.nodes import qos
 from icu_common.nodes.runtime import prepare_transport
-from scope_bench.adapters.bag.bag_writer import BagWriter
-from scope_bench.adapters.bag.bags import BagTopic
 
 sys.path.append(str(Path(__file__).resolve().parents[1]))
 from rows import bound, row, write
@@ -41,7 +41,7 @@ def recorded(folder: Path, seconds: float) -> tuple[int, int]:
     """Return the numbers of recorded and missing messages of a pair of cameras."""
     node = rclpy.create_node("cameras")
     outputs = [node.create_publisher(Image, topic, qos.IMAGES) for topic in TOPICS]
-    command = [sys.executable, "-m", "scope_bench.cli.bag_record", *TOPICS, "-o", str(folder / "bag")]
+    command = [sys.executable, "-m", "icu_bringup.cli.bag_record", *TOPICS, "-o", str(folder / "bag")]
     program = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
     while not all(output.get_subscription_count() for output in outputs):
         time.sleep(0.1)

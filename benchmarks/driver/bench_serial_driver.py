@@ -148,7 +148,7 @@ def camera_graph() -> Iterator[None]:
     root = Path(__file__).resolve().parents[2]
     with tempfile.TemporaryDirectory() as folder:
         command = [
-            str(root / "ros2_ws/install/scope_bench/lib/scope_bench/bring_up"),
+            str(root / "ros2_ws/install/icu_bringup/lib/icu_bringup/bring_up"),
             "--config",
             str(root / "config"),
             "--real-time",

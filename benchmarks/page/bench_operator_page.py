@@ -312,7 +312,7 @@ def main() -> int:
 def render(folder: Path) -> Path:
     """Return an image of the bench with a camera's detail and noise."""
     picture = folder / "bench.png"
-    command = [sys.executable, "-m", "scope_bench.cli.render", "--out", str(picture)]
+    command = [sys.executable, "-m", "icu_simulator.cli.render", "--out", str(picture)]
     subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
     return picture
 

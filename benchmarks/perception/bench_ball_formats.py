@@ -22,9 +22,9 @@ from harris_perception.core.stylus.stylus_config import StylusConfig
 from icu_common.core.configuration.config import from_mapping
 from icu_common.core.geometry.camera_model import CameraModel, StereoModel
 from icu_common.core.panel.panel_layout import load_layout
-from scope_bench.core import instrument
-from scope_bench.core.configuration import BenchConfig
-from scope_bench.core.renderer import Moment, Renderer, base_from_panel
+from icu_simulator.core import instrument
+from icu_simulator.core.configuration import BenchConfig
+from icu_simulator.core.renderer import Moment, Renderer, base_from_panel
 
 sys.path.append(str(Path(__file__).resolve().parents[1]))
 sys.path.append(str(Path(__file__).resolve().parents[2] / "tests"))

@@ -24,8 +24,8 @@ from harris_perception.core.hand_eye_procedure.calibration_plan import RunConfig
 from harris_perception.core.hand_eye_procedure.still_watch import StillConfig
 from icu_common.adapters.memory import keep_large_blocks
 from icu_common.core.geometry.geometry import Array
-from scope_bench.core.configuration import BenchConfig, CameraConfig
-from scope_bench.core.renderer import base_from_panel
+from icu_simulator.core.configuration import BenchConfig, CameraConfig
+from icu_simulator.core.renderer import base_from_panel
 
 sys.path.append(str(Path(__file__).resolve().parents[1]))
 from perception.simulated_robot import LAYOUT, Robot, Studio

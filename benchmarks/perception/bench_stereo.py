@@ -28,9 +28,9 @@ from icu_common.core.geometry.camera_model import CameraModel, StereoModel
 from icu_common.nodes.messages.cameras import disparity_message
 from icu_common.nodes.messages.clouds import organised_cloud_message
 from icu_common.nodes.messages.heads import header
-from scope_bench.core.configuration import BenchConfig
-from scope_bench.core.instrument import InstrumentState
-from scope_bench.core.renderer import Moment
+from icu_simulator.core.configuration import BenchConfig
+from icu_simulator.core.instrument import InstrumentState
+from icu_simulator.core.renderer import Moment
 
 sys.path.append(str(Path(__file__).resolve().parents[1]))
 from perception.simulated_robot import LAYOUT, OUT_OF_SIGHT, Studio

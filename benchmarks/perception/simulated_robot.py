@@ -1,7 +1,7 @@
 """Robot without processes: hidden mechanics, drawn images, the real tracker, recogniser and calibration run.
 
 Calls replace the topics between nodes, so that a calibration takes seconds instead of a minute and can be repeated over
-many seeds. The truth comes from scope_bench, which shares no geometry code with the perception.
+many seeds. The truth comes from icu_simulator, which shares no geometry code with the perception.
 """
 
 from __future__ import annotations
@@ -31,12 +31,12 @@ from icu_common.core.geometry.camera_model import CameraModel, StereoModel
 from icu_common.core.geometry.geometry import Array, Transform
 from icu_common.core.goals.results import GoalResult, Outcome
 from icu_common.core.panel.panel_layout import load_layout
-from scope_bench.core.configuration import BenchConfig
-from scope_bench.core.instrument import InstrumentState
-from scope_bench.core.mechanics import Mechanism, draw_errors
-from scope_bench.core.optics import Camera
-from scope_bench.core.renderer import Moment, Renderer, base_from_panel
-from scope_bench.core.stylus_picture import StylusPainter
+from icu_simulator.core.configuration import BenchConfig
+from icu_simulator.core.instrument import InstrumentState
+from icu_simulator.core.mechanics import Mechanism, draw_errors
+from icu_simulator.core.optics import Camera
+from icu_simulator.core.renderer import Moment, Renderer, base_from_panel
+from icu_simulator.core.stylus_picture import StylusPainter
 
 ROOT = Path(__file__).parents[2]
 LAYOUT = load_layout(ROOT / "config/scopes/dso_bench_4.yaml")

@@ -8,7 +8,7 @@ from pathlib import Path
 HERE = Path(__file__).parent
 ROOT = HERE.parents[1]
 BAG, EXPECTED = HERE / "bag", HERE / "expected.yaml"
-BAG_CHECK = ROOT / "ros2_ws" / "install" / "scope_bench" / "lib" / "scope_bench" / "bag_check"
+BAG_CHECK = ROOT / "ros2_ws" / "install" / "icu_bringup" / "lib" / "icu_bringup" / "bag_check"
 
 
 def bag_check(*arguments: str | Path, within_s: float = 300.0) -> subprocess.CompletedProcess[str]:

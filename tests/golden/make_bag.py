@@ -35,6 +35,10 @@ from harris_perception.core.hand_eye_procedure.still_watch import StillConfig, S
 from harris_perception.core.stylus.stylus import StylusTracker
 from harris_perception.core.stylus.stylus_config import StylusConfig
 from harris_perception.pairing.free_pairs import Pair
+from icu_bringup.adapters.bag.bag_reader import BagReader
+from icu_bringup.adapters.bag.bag_writer import BagWriter
+from icu_bringup.adapters.bag.bags import BagTopic
+from icu_bringup.nodes.bag_qos import recorded_qos
 from icu_common.core.configuration.config import from_mapping
 from icu_common.core.geometry.frames import BASE, CAMERA_LEFT, CAMERA_RIGHT, JOINTS
 from icu_common.core.goals.results import Outcome
@@ -44,11 +48,7 @@ from icu_common.nodes.messages.heads import header
 from icu_common.nodes.messages.joints import joint_message, trajectory_message
 from icu_common.nodes.messages.places import point_message
 from icu_common.nodes.messages.results import result_message
-from scope_bench.adapters.bag.bag_reader import BagReader
-from scope_bench.adapters.bag.bag_writer import BagWriter
-from scope_bench.adapters.bag.bags import BagTopic
-from scope_bench.imaging.timing import Shot
-from scope_bench.nodes.bag_qos import recorded_qos
+from icu_simulator.imaging.timing import Shot
 
 SEED = 7
 TIPS = 3

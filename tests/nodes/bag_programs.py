@@ -18,7 +18,7 @@ class Command:
         environment = dict(os.environ, ROS_DOMAIN_ID=str(ros.context.get_domain_id()))
         environment |= {"ROS_LOG_DIR": str(folder / "log"), "PYTHONUNBUFFERED": "1"}
         self.process = subprocess.Popen(
-            [sys.executable, "-m", f"scope_bench.cli.{name}", *arguments],
+            [sys.executable, "-m", f"icu_bringup.cli.{name}", *arguments],
             env=environment,
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,

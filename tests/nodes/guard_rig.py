@@ -152,7 +152,7 @@ class BringUpRig(GuardRig):
             "programs": {"serial_driver": {**driver, "set": values}},
         }
         (config / "graph.yaml").write_text(yaml.safe_dump(graph))
-        command = [str(INSTALL / "scope_bench/lib/scope_bench/bring_up"), "--profile", "driver", "--verbose"]
+        command = [str(INSTALL / "icu_bringup/lib/icu_bringup/bring_up"), "--profile", "driver", "--verbose"]
         command += ["--config", str(config), "--state", str(self.folder / "state"), "--run-dir", str(self.folder)]
         environment = {**os.environ, "ROS_DOMAIN_ID": str(self.ros.context.get_domain_id())}
         with (self.folder / "bring_up.log").open("wb") as log:

@@ -71,7 +71,7 @@ class RunningGraph:
         }
         self._log_path = folder / "bring_up.log"
         command = [
-            executable("scope_bench", "bring_up"),
+            executable("icu_bringup", "bring_up"),
             "--profile",
             "test",
             "--verbose",

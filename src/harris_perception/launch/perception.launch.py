@@ -1,7 +1,7 @@
 """Camera, corners, stereo, stylus tracker, recognition and hand-eye: this package's part of the graph.
 
-``ros2 launch harris_perception perception.launch.py profile:=hardware`` reads config/graph.yaml by scope_bench,
-which therefore must be built too; package.xml cannot name it, as scope_bench depends on this package.
+``ros2 launch harris_perception perception.launch.py profile:=hardware`` reads config/graph.yaml by icu_bringup,
+which therefore must be built too; package.xml cannot name it, as icu_bringup depends on this package.
 """
 
 from ament_index_python.packages import get_package_share_directory
@@ -12,5 +12,5 @@ from launch import LaunchDescription
 
 
 def generate_launch_description() -> LaunchDescription:
-    graph = PythonLaunchDescriptionSource(get_package_share_directory("scope_bench") + "/launch/graph.launch.py")
+    graph = PythonLaunchDescriptionSource(get_package_share_directory("icu_bringup") + "/launch/graph.launch.py")
     return LaunchDescription([IncludeLaunchDescription(graph, launch_arguments=[("package", "harris_perception")])])

@@ -24,16 +24,16 @@ from sensor_msgs.msg import Image
 from std_msgs.msg import Header, String
 from visualization_msgs.msg import Marker
 
+from icu_bringup.adapters.bag.bag_reader import BagReader
+from icu_bringup.adapters.bag.bag_sink import BagSink
+from icu_bringup.adapters.bag.bag_writer import BagWriter
+from icu_bringup.adapters.bag.bags import BagTopic
+from icu_bringup.cli.bag_record import catch_up
+from icu_bringup.core.bag.account import INCOMPLETE, Account
+from icu_bringup.nodes.bag_recorder import BagRecorder
+from icu_bringup.nodes.bag_types import installed_hash, type_problem
 from icu_common.nodes import qos
 from icu_common.nodes.messages.cameras import image_message
-from scope_bench.adapters.bag.bag_reader import BagReader
-from scope_bench.adapters.bag.bag_sink import BagSink
-from scope_bench.adapters.bag.bag_writer import BagWriter
-from scope_bench.adapters.bag.bags import BagTopic
-from scope_bench.cli.bag_record import catch_up
-from scope_bench.core.bag.account import INCOMPLETE, Account
-from scope_bench.nodes.bag_recorder import BagRecorder
-from scope_bench.nodes.bag_types import installed_hash, type_problem
 
 pytestmark = pytest.mark.long
 

@@ -33,21 +33,21 @@ from sensor_msgs.msg import CompressedImage, Image, PointCloud2
 from std_msgs.msg import Header, String
 from std_srvs.srv import Trigger
 
+from icu_bringup.adapters.bag.bag_pictures import PictureCodec
+from icu_bringup.adapters.bag.bag_reader import BagReader
+from icu_bringup.adapters.bag.bag_sink import BagSink
+from icu_bringup.adapters.bag.bag_writer import BagWriter
+from icu_bringup.adapters.bag.bags import BagError, BagTopic
+from icu_bringup.cli.bag_record import catch_up
+from icu_bringup.core.bag.account import INCOMPLETE
+from icu_bringup.nodes.bag_player import BagPlayer
+from icu_bringup.nodes.bag_qos import playing_qos, recorded_qos
+from icu_bringup.nodes.bag_recorder import BagRecorder
+from icu_bringup.nodes.topic_ear import TopicEar
 from icu_common.adapters.steps.step_ledger import LEDGER_VARIABLE, StepLedger
 from icu_common.nodes import qos
 from icu_common.nodes.messages.cameras import image_array, image_message
 from icu_common.nodes.messages.heads import header
-from scope_bench.adapters.bag.bag_pictures import PictureCodec
-from scope_bench.adapters.bag.bag_reader import BagReader
-from scope_bench.adapters.bag.bag_sink import BagSink
-from scope_bench.adapters.bag.bag_writer import BagWriter
-from scope_bench.adapters.bag.bags import BagError, BagTopic
-from scope_bench.cli.bag_record import catch_up
-from scope_bench.core.bag.account import INCOMPLETE
-from scope_bench.nodes.bag_player import BagPlayer
-from scope_bench.nodes.bag_qos import playing_qos, recorded_qos
-from scope_bench.nodes.bag_recorder import BagRecorder
-from scope_bench.nodes.topic_ear import TopicEar
 
 pytestmark = pytest.mark.long
 
@@ -495,7 +495,7 @@ def test_a_player_in_the_background_of_a_terminal_plays(ros: Ros, tmp_path: Path
     """The kernel stops who sets up a terminal from its background, and nothing would be played."""
     bag = numbered_bag(tmp_path / "bag", ["words"], 3)
     output = output_in_background(
-        *("scope_bench.cli.bag_play", str(bag), "--wait", "0"),
+        *("icu_bringup.cli.bag_play", str(bag), "--wait", "0"),
         environment={"ROS_DOMAIN_ID": str(ros.context.get_domain_id()), "ROS_LOG_DIR": str(tmp_path / "log")},
     )
     assert output.splitlines()[-1:] == ["3 messages played"]
@@ -582,7 +582,7 @@ def test_a_recording_of_the_page_ends_whole_when_its_bridge_is_killed(ros: Ros, 
     """The bridge that is started anew knows nothing of it: it would go on, unseen, until the disk is full."""
     program = tmp_path / "bag_record"
     errors = tmp_path / "errors"
-    program.write_text(f'#!/bin/sh\nexec {sys.executable} -m scope_bench.cli.bag_record "$@" 2> {errors}\n')
+    program.write_text(f'#!/bin/sh\nexec {sys.executable} -m icu_bringup.cli.bag_record "$@" 2> {errors}\n')
     program.chmod(0o755)
     bridge = (
         "import signal, sys; from pathlib import Path; from scope_ui_bridge.adapters.recorder import Recorder\n"
@@ -644,7 +644,7 @@ def test_the_recorder_as_a_program_keeps_the_bag_whole_when_it_is_killed(
     program.process.kill()
     program.process.communicate()
     saved = subprocess.run(
-        [sys.executable, "-m", "scope_bench.cli.bag_info", str(tmp_path / "bag"), "--repair", str(tmp_path / "new")],
+        [sys.executable, "-m", "icu_bringup.cli.bag_info", str(tmp_path / "bag"), "--repair", str(tmp_path / "new")],
         capture_output=True,
         text=True,
         timeout=60,

@@ -12,9 +12,9 @@ from public_bags import BAGS, NOT_INSTALLED, VARIABLE, PublicBag, convert, found
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from ros_rig import Ros
 
-from scope_bench.adapters.bag.bag_reader import BagReader
-from scope_bench.core.bag.account import INCOMPLETE
-from scope_bench.nodes.bag_qos import message_class
+from icu_bringup.adapters.bag.bag_reader import BagReader
+from icu_bringup.core.bag.account import INCOMPLETE
+from icu_bringup.nodes.bag_qos import message_class
 
 pytestmark = pytest.mark.long
 

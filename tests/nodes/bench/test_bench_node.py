@@ -23,11 +23,11 @@ from icu_common.adapters.frame_link import FrameClient
 from icu_common.core.configuration.config import ConfigError, from_mapping
 from icu_common.core.panel.panel_layout import load_layout
 from icu_common.nodes.qos import RESULTS
-from scope_bench.adapters.bench.motion_client import MotionClient, parse_sample
-from scope_bench.adapters.bench.simulation import Simulation
-from scope_bench.core.configuration import BenchConfig
-from scope_bench.core.optics import stereo_rig
-from scope_bench.nodes.bench_node import BenchNode
+from icu_simulator.adapters.bench.motion_client import MotionClient, parse_sample
+from icu_simulator.adapters.bench.simulation import Simulation
+from icu_simulator.core.configuration import BenchConfig
+from icu_simulator.core.optics import stereo_rig
+from icu_simulator.nodes.bench_node import BenchNode
 
 IDEAL = {
     "mechanics.backlash_mm": (0.0, 0.0),

@@ -22,10 +22,10 @@ from icu_common.adapters.frame_link import FRAMES, FrameClient
 from icu_common.adapters.steps.step_ledger import BYTES_READ, BYTES_WRITTEN, StepLedger
 from icu_common.core.configuration.config import ConfigError, from_mapping
 from icu_common.core.panel.panel_layout import load_layout
-from scope_bench.adapters.bench.simulation import Simulation
-from scope_bench.adapters.bench.step_time import SERIAL_PATIENCE_S, StepTime
-from scope_bench.core.configuration import BenchConfig
-from scope_bench.nodes.bench_node import BenchNode
+from icu_simulator.adapters.bench.simulation import Simulation
+from icu_simulator.adapters.bench.step_time import SERIAL_PATIENCE_S, StepTime
+from icu_simulator.core.configuration import BenchConfig
+from icu_simulator.nodes.bench_node import BenchNode
 
 STEP_NS = 20_000_000
 DEADLINE_S = 30.0

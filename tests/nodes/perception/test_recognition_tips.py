@@ -19,8 +19,8 @@ from icu_common.nodes import qos
 from icu_common.nodes.messages.heads import header
 from icu_common.nodes.messages.panels import panel_state_of_message
 from icu_common.nodes.messages.places import point_message
-from scope_bench.core.instrument import InstrumentState
-from scope_bench.core.renderer import Moment
+from icu_simulator.core.instrument import InstrumentState
+from icu_simulator.core.renderer import Moment
 
 pytestmark = pytest.mark.long
 

@@ -27,10 +27,10 @@ from icu_common.nodes.alignment.pair_message import pair_message, pair_of_messag
 from icu_common.nodes.messages.cameras import camera_info_message, image_message
 from icu_common.nodes.messages.heads import header
 from icu_common.nodes.messages.places import point_array, pose_message, transform_message
-from scope_bench.core.bench import Bench
-from scope_bench.core.configuration import BenchConfig
-from scope_bench.core.optics import stereo_rig
-from scope_bench.core.renderer import Moment, Renderer
+from icu_simulator.core.bench import Bench
+from icu_simulator.core.configuration import BenchConfig
+from icu_simulator.core.optics import stereo_rig
+from icu_simulator.core.renderer import Moment, Renderer
 
 pytestmark = pytest.mark.long
 

@@ -18,12 +18,12 @@ from sensor_msgs.msg import Image
 from std_msgs.msg import String
 
 from harris_perception.cli.stereo import stereo
+from icu_bringup.nodes import beds_node
+from icu_bringup.nodes.beds_node import BedsNode
 from icu_common.core.configuration.config import ConfigError
 from icu_common.nodes import qos
 from icu_common.nodes.messages.cameras import image_message
 from icu_common.nodes.messages.heads import header
-from scope_bench.nodes import beds_node
-from scope_bench.nodes.beds_node import BedsNode
 
 pytestmark = pytest.mark.long
 
@@ -150,7 +150,7 @@ def test_a_bed_whose_picture_is_empty_or_of_an_unknown_kind_has_none(ros: Ros) -
 def test_who_asks_a_node_for_help_gets_it_and_no_node(
     program: Callable[[], int], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("sys.argv", ["ros2_ws/lib/scope_bench/beds", "--help"])
+    monkeypatch.setattr("sys.argv", ["ros2_ws/lib/icu_bringup/beds", "--help"])
     monkeypatch.setattr("icu_common.nodes.runtime.ros_session", lambda arguments: pytest.fail("a node was started"))
     assert program() == 0
     shown = capsys.readouterr().out

@@ -9,7 +9,7 @@ import pytest
 from rclpy.node import Node
 from ros_rig import Ros
 
-from scope_bench.cli import bring_up, graph_run
+from icu_bringup.cli import bring_up, graph_run
 
 CONFIG = Path(__file__).resolve().parents[3] / "config"
 

@@ -28,7 +28,7 @@ def start(ros: Ros, folder: Path, table: list[list[object]]) -> subprocess.Popen
     (folder / "table.json").write_text(json.dumps(table))
     environment = dict(os.environ, ROS_DOMAIN_ID=str(ros.context.get_domain_id()), ROS_LOG_DIR=str(folder / "log"))
     return subprocess.Popen(
-        [sys.executable, "-m", "scope_bench.cli.composed", str(folder / "table.json")],
+        [sys.executable, "-m", "icu_bringup.cli.composed", str(folder / "table.json")],
         env=environment,
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
@@ -95,7 +95,7 @@ def test_a_parameter_file_that_cannot_be_read_ends_the_process_with_file_and_lin
     if together:
         process = start(ros, tmp_path, [["corners", given]])
     else:
-        command = [sys.executable, "-m", "scope_bench.nodes.beds_node", *given]
+        command = [sys.executable, "-m", "icu_bringup.nodes.beds_node", *given]
         process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
     output, _ = process.communicate(timeout=60)
     assert process.returncode == 2 and "Traceback" not in output

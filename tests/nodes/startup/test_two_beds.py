@@ -20,10 +20,10 @@ from ros_rig import Ros
 from std_msgs.msg import Header, String
 from std_srvs.srv import SetBool, Trigger
 
+from icu_bringup.nodes.beds_node import BedsNode
 from icu_common.nodes import qos
 from icu_common.nodes.messages.heads import header
 from icu_common.nodes.messages.places import point_message
-from scope_bench.nodes.beds_node import BedsNode
 
 pytestmark = pytest.mark.long
 
@@ -37,7 +37,7 @@ class Bed:
     def __init__(self, name: str, ros: Ros, folder: Path) -> None:
         self.ros = ros
         folder.mkdir()
-        program = ROOT / "ros2_ws/install/scope_bench/lib/scope_bench/bring_up"
+        program = ROOT / "ros2_ws/install/icu_bringup/lib/icu_bringup/bring_up"
         parts = [text for part in ("mock_grbl", "serial_driver", "gantry_controller") for text in ("--only", part)]
         places = ["--config", ROOT / "config", "--state", folder / "state", "--run-dir", folder / "run"]
         # The operator's heartbeat and goals come from the thread that waits: on a busy machine they may be late.

@@ -87,7 +87,7 @@ def test_two_demos_run_side_by_side(computer: Computer, tmp_path: Path) -> None:
     parts = [word for part in PARTS for word in ("--without", part)]
     outputs = [tmp_path / "first", tmp_path / "second"]
     for output in outputs:
-        computer.start(output, program("scope_bench", "bring_up"), "--config", str(ROOT / "config"), *parts)
+        computer.start(output, program("icu_bringup", "bring_up"), "--config", str(ROOT / "config"), *parts)
         wait_until(
             lambda output=output: "?token=" in output.read_text(), "the page's address", DEADLINE_S, output.read_text
         )
@@ -120,7 +120,7 @@ def test_two_demos_run_side_by_side(computer: Computer, tmp_path: Path) -> None:
         assert b"<html" in page.stdout, page.stderr.decode()
     third = subprocess.run(
         computer.command(
-            program("scope_bench", "bring_up"), "--config", str(ROOT / "config"), "--set", "ui_bridge.port=8081"
+            program("icu_bringup", "bring_up"), "--config", str(ROOT / "config"), "--set", "ui_bridge.port=8081"
         ),
         env=computer.environment,
         capture_output=True,

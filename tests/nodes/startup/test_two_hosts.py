@@ -217,7 +217,7 @@ def test_the_link_is_cut_and_restored(found_by: str, hosts: TwoHosts, tmp_path: 
         server_command = [program, "-i", "0", "-l", ROBOT, "-p", "11811"]
         hosts.start(hosts.robot, *server_command, environment=on_robot, stdout=subprocess.DEVNULL)
     log = tmp_path / "robot.log"
-    bring_up = ROOT / "ros2_ws/install/scope_bench/lib/scope_bench/bring_up"
+    bring_up = ROOT / "ros2_ws/install/icu_bringup/lib/icu_bringup/bring_up"
     parts = [text for name in ("mock_grbl", "serial_driver", "gantry_controller") for text in ("--only", name)]
     for setting in ("goal_max_age_s=5.0", "joints_timeout_s=5.0"):  # on a busy machine
         parts += ["--set", f"gantry_controller.{setting}"]

@@ -19,8 +19,8 @@ from golden.expectation import BAG_CHECK, ROOT
 from rosbags.rosbag1 import Writer
 from rosbags.typesys import Stores, get_typestore
 
-from scope_bench.adapters.bag.bag_reader import BagReader
-from scope_bench.core.check.expectation import from_yaml
+from icu_bringup.adapters.bag.bag_reader import BagReader
+from icu_bringup.core.check.expectation import from_yaml
 
 IMAGE, INFO = "sensor_msgs/msg/Image", "sensor_msgs/msg/CameraInfo"
 STAMPS = [1_700_000_000_000_000_000 + n * 66_000_000 for n in range(6)]

@@ -18,13 +18,13 @@ import pytest
 from golden.expectation import BAG, BAG_CHECK, EXPECTED, ROOT, bag_check
 from golden.make_bag import CONTROLLER, TIPS, TRACKER
 
-from scope_bench.adapters.bag.bag_reader import BagReader
-from scope_bench.adapters.check.messages import read_messages
-from scope_bench.adapters.check.prepared_bag import played_topics
-from scope_bench.adapters.check.replay import Replay, free_domain
-from scope_bench.core.check.comparison import TopicMessages, compare
-from scope_bench.core.check.expectation import from_yaml
-from scope_bench.core.check.report import table
+from icu_bringup.adapters.bag.bag_reader import BagReader
+from icu_bringup.adapters.check.messages import read_messages
+from icu_bringup.adapters.check.prepared_bag import played_topics
+from icu_bringup.adapters.check.replay import Replay, free_domain
+from icu_bringup.core.check.comparison import TopicMessages, compare
+from icu_bringup.core.check.expectation import from_yaml
+from icu_bringup.core.check.report import table
 
 EXPECTATION = from_yaml(EXPECTED.read_text(encoding="utf-8"))
 BEGINNING_S = 3.0

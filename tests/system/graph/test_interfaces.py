@@ -17,7 +17,7 @@ import pytest
 from node_interfaces import Interfaces, interfaces_of, seen_in, text_of, with_those_at_times
 from ros_rig import participant
 
-from scope_bench.core.startup.graph_description import load_graph
+from icu_bringup.core.startup.graph_description import load_graph
 
 ROOT = Path(__file__).resolve().parents[3]
 REFERENCE = Path(__file__).with_name("interfaces.json")

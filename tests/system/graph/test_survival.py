@@ -143,7 +143,7 @@ class Scene:
                 line = Path(f"/proc/{child}/cmdline").read_text(errors="replace").replace("\0", " ")
             except OSError:
                 continue  # it has ended meanwhile
-            if "scope_bench.cli.fork_server" in line or "gantry_driver.cli.gantry_guard" in line:
+            if "icu_bringup.cli.fork_server" in line or "gantry_driver.cli.gantry_guard" in line:
                 continue  # not a node: the launcher, and the driver's guard
             name = re.search(r"__node:=(\S+)", line)
             found[name[1] if name else "mock_grbl" if "mock_grbl" in line else line] = int(child)

@@ -21,8 +21,8 @@ from ros_rig import domain_of_worker
 from system.conftest import ROOT, RunningGraph, executable, wait_for
 from system.operator_browser import Operator
 
+from icu_bringup.adapters.bag.bag_reader import BagReader
 from icu_common.core.panel.panel_layout import load_layout
-from scope_bench.adapters.bag.bag_reader import BagReader
 
 SHOTS = ROOT / "artifacts" / "story"
 pytestmark = [pytest.mark.browser, pytest.mark.system, pytest.mark.alone, pytest.mark.long, pytest.mark.timeout(900)]
@@ -349,14 +349,14 @@ def replays(browser: Any, folder: Path, graph: RunningGraph, tmp_path: Path, tau
 @contextlib.contextmanager
 def playing(environment: dict[str, str], folder: Path, tmp_path: Path, more: list[str]) -> Iterator[str]:
     """Run the page on a bag and yield its address; with ``more`` programs nothing of the panel comes from the bag."""
-    command = [executable("scope_bench", "bring_up"), "--only", "ui_bridge", "--state", str(tmp_path), "--verbose"]
+    command = [executable("icu_bringup", "bring_up"), "--only", "ui_bridge", "--state", str(tmp_path), "--verbose"]
     command += ["--set", "ui_bridge.replay=true", "--set", "ui_bridge.port=0", *more]
     output = tmp_path / f"replay_{len(more)}.log"
     with output.open("wb") as out:
         started = [subprocess.Popen(command, env=environment, stdout=out, stderr=subprocess.STDOUT)]
     try:
         found = wait_for(lambda: re.findall(r"http://\S+\?token=\S+", output.read_text()), 30.0, "the page's address")
-        play = [executable("scope_bench", "bag_play"), str(folder), "--loop"]
+        play = [executable("icu_bringup", "bag_play"), str(folder), "--loop"]
         with BagReader(folder) as bag:
             play += ["--exclude", *(topic.name for topic in bag.topics if "/panel/" in topic.name)] if more else []
         quiet = subprocess.DEVNULL

@@ -892,7 +892,7 @@ def test_who_only_watches_sees_that_a_recording_runs_whoever_started_it(
         assert page.eval_on_selector("#chip-recording dd", cut) <= 0
     assert axe(watcher) == []
     # One that was started in a terminal, too.
-    program = [executable("scope_bench", "bag_record"), "-o", str(tmp_path / "bag"), "/gantry/state"]
+    program = [executable("icu_bringup", "bag_record"), "-o", str(tmp_path / "bag"), "/gantry/state"]
     recorder = subprocess.Popen(program, env=instrument.environment, stdout=subprocess.DEVNULL)
     try:
         watcher.sees("#recordings", r"\nRecording for \d:\d\d, by the program /bag_recorder\.$", within_s=STARTS_S)

@@ -15,9 +15,9 @@ from icu_common.core.geometry.camera_model import CameraModel
 from icu_common.core.geometry.geometry import Transform
 from icu_common.core.panel.panel_layout import PanelLayout, load_layout
 from icu_common.core.panel.panel_state import PanelSeen
-from scope_bench.core.configuration import BenchConfig, LightConfig
-from scope_bench.core.instrument import InstrumentState
-from scope_bench.core.renderer import Moment, Renderer, base_from_panel
+from icu_simulator.core.configuration import BenchConfig, LightConfig
+from icu_simulator.core.instrument import InstrumentState
+from icu_simulator.core.renderer import Moment, Renderer, base_from_panel
 
 SCOPES = Path(__file__).parents[3] / "config" / "scopes"
 LAYOUT = load_layout(SCOPES / "dso_bench_4.yaml")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-from unit.scope_bench.graph_programs import config_class, programs
+from unit.icu_bringup.graph_programs import config_class, programs
 
 from icu_common.core.configuration.config import GRAPH_TIME, WALL_TIME, settings_of
 

@@ -23,10 +23,10 @@ import yaml
 from catkin_pkg.package import parse_package
 from parameter_files import file_values, parameters
 
+from icu_bringup.adapters.graph_ledger import path_of_graph
+from icu_bringup.core.startup.graph_description import GraphError, load_graph
+from icu_bringup.export.adapters.reading import LIBRARIES
 from icu_common.adapters.steps.step_ledger import LEDGER_VARIABLE
-from scope_bench.adapters.graph_ledger import path_of_graph
-from scope_bench.core.startup.graph_description import GraphError, load_graph
-from scope_bench.export.adapters.reading import LIBRARIES
 
 pytestmark = pytest.mark.slow
 
@@ -122,7 +122,7 @@ def test_setup_py_says_the_same(package: Path, monkeypatch: pytest.MonkeyPatch) 
 def test_the_extra_of_setup_py_installs_what_bag_export_names(monkeypatch: pytest.MonkeyPatch) -> None:
     given: dict[str, Any] = {}
     monkeypatch.setattr(setuptools, "setup", lambda **keywords: given.update(keywords))
-    monkeypatch.chdir(ROOT / "src" / "scope_bench")
+    monkeypatch.chdir(ROOT / "src" / "icu_bringup")
     runpy.run_path("setup.py")
     assert given["extras_require"]["export"] == list(LIBRARIES.values())
 
@@ -248,10 +248,10 @@ def launch_modules(share: Path) -> dict[str, types.ModuleType]:
 
 @pytest.mark.parametrize("profile", ["bench", "test", "hardware", "replay"])
 def test_who_starts_the_graph_depends_on_the_packages_of_its_programs(profile: str, tmp_path: Path) -> None:
-    """Else ``colcon build --packages-up-to scope_bench``, or its package alone, gives a graph that cannot start."""
+    """Else ``colcon build --packages-up-to icu_bringup``, or its package alone, gives a graph that cannot start."""
     programs = load_graph(ROOT / "config", profile, run=tmp_path / "run", state=tmp_path)
-    named = {d.name for d in parse_package(str(ROOT / "src/scope_bench")).exec_depends}
-    assert {program.package for program in programs} - {"scope_bench"} <= named
+    named = {d.name for d in parse_package(str(ROOT / "src/icu_bringup")).exec_depends}
+    assert {program.package for program in programs} - {"icu_bringup"} <= named
 
 
 @pytest.mark.parametrize("profile", ["bench", "test", "hardware", "replay"])
@@ -263,7 +263,7 @@ def test_ros2_launch_starts_the_graph_that_bring_up_starts(
     for name, module in launch_modules(ROOT).items():
         monkeypatch.setitem(sys.modules, name, module)
     monkeypatch.setenv("ROS_DOMAIN_ID", f"of {tmp_path.name} {os.getpid()}")  # names are held by this process
-    launch = runpy.run_path(str(ROOT / "src/scope_bench/launch/graph.launch.py"))
+    launch = runpy.run_path(str(ROOT / "src/icu_bringup/launch/graph.launch.py"))
     declared = {
         a.values[0]
         for a in launch["generate_launch_description"]().values[0]
@@ -309,7 +309,7 @@ def test_ros2_launch_keeps_each_robots_files_where_bring_up_does(
     monkeypatch.setenv("HOME", str(tmp_path))
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
     monkeypatch.setenv("ROS_DOMAIN_ID", f"of {tmp_path.name} {os.getpid()}")  # names are held by this process
-    launch = runpy.run_path(str(ROOT / "src/scope_bench/launch/graph.launch.py"))
+    launch = runpy.run_path(str(ROOT / "src/icu_bringup/launch/graph.launch.py"))
     context = {
         a.values[0]: a.keywords["default_value"]
         for a in launch["generate_launch_description"]().values[0]
@@ -332,7 +332,7 @@ def test_ros2_launch_refuses_a_second_graph_and_a_namespace_that_is_none(
         monkeypatch.setitem(sys.modules, name, module)
     monkeypatch.setenv("ROS_DOMAIN_ID", f"of {tmp_path.name} {os.getpid()}")  # names are held by this process
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
-    start = runpy.run_path(str(ROOT / "src/scope_bench/launch/graph.launch.py"))["start"]
+    start = runpy.run_path(str(ROOT / "src/icu_bringup/launch/graph.launch.py"))["start"]
     given = {
         "profile": "hardware",
         "config": str(ROOT / "config"),
@@ -349,7 +349,7 @@ def test_ros2_launch_refuses_a_second_graph_and_a_namespace_that_is_none(
     assert start(given)
     with pytest.raises(GraphError, match=f"runs already in ROS domain of {tmp_path.name}"):
         start(given)
-    bring_up = [sys.executable, "-m", "scope_bench.cli.bring_up", "--config", str(ROOT / "config")]
+    bring_up = [sys.executable, "-m", "icu_bringup.cli.bring_up", "--config", str(ROOT / "config")]
     second = subprocess.run(bring_up, capture_output=True, text=True, timeout=60, check=False)
     assert second.returncode == 2 and "a graph of these names runs already" in second.stderr
     assert start(given | {"package": "gantry_driver"}) and start(given | {"namespace": "bed_2"})

@@ -20,7 +20,7 @@ from gantry_driver.core.job.controller_config import ControllerConfig
 from icu_common.core.configuration.config import Config, ConfigError, ConfigItem, from_mapping, settings_of
 from scope_ui_bridge.core.config import BridgeConfig
 
-PACKAGES = ("icu_common", "harris_perception", "gantry_driver", "scope_ui_bridge", "scope_bench")
+PACKAGES = ("icu_common", "harris_perception", "gantry_driver", "scope_ui_bridge", "icu_simulator", "icu_bringup")
 ENVELOPE = {"free_space_m", "crossing_m", "side_height_m", "correction_m", "max_sigma_m", "max_age_s"}
 GUARDS = {
     EnvelopeConfig: ENVELOPE,

@@ -8,7 +8,7 @@ import typing
 from pathlib import Path
 from typing import Any
 
-from unit.scope_bench.graph_programs import config_class, programs
+from unit.icu_bringup.graph_programs import config_class, programs
 
 from icu_common.core.configuration.config import ConfigItem, settings_of
 

@@ -12,10 +12,10 @@ import pytest
 from virtual_robot import VirtualRobot
 
 from icu_common.core.configuration.config import from_mapping, to_mapping
-from scope_bench.core.configuration import BenchConfig
-from scope_bench.core.optics import stereo_rig
-from scope_bench.imaging.rig import CameraShift
-from scope_bench.imaging.timing import shots
+from icu_simulator.core.configuration import BenchConfig
+from icu_simulator.core.optics import stereo_rig
+from icu_simulator.imaging.rig import CameraShift
+from icu_simulator.imaging.timing import shots
 
 pytestmark = pytest.mark.long
 

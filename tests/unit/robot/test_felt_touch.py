@@ -12,7 +12,7 @@ import pytest
 from virtual_robot import VirtualRobot
 
 from icu_common.core.goals.results import Felt, GoalResult, Outcome
-from scope_bench.core.configuration import BenchConfig
+from icu_simulator.core.configuration import BenchConfig
 
 pytestmark = pytest.mark.long
 

@@ -83,7 +83,7 @@ class Recorder:
             if self._process is not None and self._process.poll() is None:
                 raise GraphError(Message("record.already_recording", output=self._output))
             try:
-                program = self._program or find_executable("scope_bench", "bag_record", Path(sys.argv[0]))
+                program = self._program or find_executable("icu_bringup", "bag_record", Path(sys.argv[0]))
             except FileNotFoundError as error:
                 raise GraphError(Message("record.bag_record_not_installed_beside")) from error
             self._output = self._folder / f"{datetime.now():%Y-%m-%d_%H-%M-%S-%f}"

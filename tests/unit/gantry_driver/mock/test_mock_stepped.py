@@ -10,7 +10,7 @@ import pytest
 from unit.gantry_driver.mock_rig import FREE
 from unit.gantry_driver.mock_service import Running, expect, wait_for
 
-from scope_bench.adapters.bench.motion_client import MotionClient
+from icu_simulator.adapters.bench.motion_client import MotionClient
 
 
 @pytest.fixture

@@ -18,8 +18,8 @@ from harris_perception.core.recognition.recognition import PanelRecogniser
 from icu_common.core.geometry.geometry import Transform
 from icu_common.core.panel.panel_layout import load_layout
 from icu_common.core.panel.panel_state import LAMPS, PanelSeen
-from scope_bench.core.instrument import InstrumentState
-from scope_bench.core.renderer import Moment
+from icu_simulator.core.instrument import InstrumentState
+from icu_simulator.core.renderer import Moment
 
 pytestmark = pytest.mark.slow
 

@@ -12,8 +12,8 @@ from parameter_files import CONFIG
 from harris_perception.core.recognition.screen_watch import ScreenCells
 from harris_perception.core.recognition.state_config import StateConfig
 from icu_common.core.panel.panel_layout import load_layout
-from scope_bench.core import screen
-from scope_bench.core.instrument import InstrumentState, advance, press
+from icu_simulator.core import screen
+from icu_simulator.core.instrument import InstrumentState, advance, press
 
 RATE_HZ = 5.0
 HOUR_S = 3600.0

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from icu_bringup.cli import bring_up
 from icu_common.adapters.state_folder import default_state_folder
-from scope_bench.cli import bring_up
 from scope_ui_bridge.cli import page_admin
 
 

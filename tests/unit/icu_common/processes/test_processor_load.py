@@ -16,7 +16,7 @@ WITHIN_S = 20.0
 
 
 def test_a_program_that_computes_is_found_with_its_share_and_its_script(tmp_path: Path) -> None:
-    script = tmp_path / "lib" / "scope_bench" / "busy_bench"
+    script = tmp_path / "lib" / "icu_simulator" / "busy_bench"
     script.parent.mkdir(parents=True)
     script.write_text("print('up', flush=True)\nwhile True: pass\n")
     with subprocess.Popen([sys.executable, str(script)], stdout=subprocess.PIPE) as process:

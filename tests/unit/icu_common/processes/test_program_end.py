@@ -76,10 +76,10 @@ NEED_NO_ROS = {
     *(
         "gantry_driver.cli.gantry_gcode",
         "gantry_driver.cli.gantry_guard",
-        "scope_bench.cli.bag_export",
-        "scope_bench.cli.bag_info",
-        "scope_bench.cli.bring_up",
-        "scope_bench.cli.render",
+        "icu_bringup.cli.bag_export",
+        "icu_bringup.cli.bag_info",
+        "icu_bringup.cli.bring_up",
+        "icu_simulator.cli.render",
     ),
     "scope_ui_bridge.cli.page_admin",
 }
@@ -174,7 +174,7 @@ def test_nobody_reads_what_is_printed(program: list[str], unbuffered: str) -> No
 
 
 @UNBUFFERED
-@pytest.mark.parametrize("program", [["scope_bench.cli.bag_info", BAG], HELP, AUDIT], ids=itemgetter(0))
+@pytest.mark.parametrize("program", [["icu_bringup.cli.bag_info", BAG], HELP, AUDIT], ids=itemgetter(0))
 def test_a_full_disk_is_told_in_one_line(program: list[str], unbuffered: str) -> None:
     done = printed_into(os.open("/dev/full", os.O_WRONLY), program, unbuffered)
     assert done.stderr.count("\n") == 1 and "No space left on device" in done.stderr

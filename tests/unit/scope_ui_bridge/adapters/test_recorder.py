@@ -154,14 +154,14 @@ def test_the_recorder_is_found_beside_the_bridge(
 ) -> None:
     monkeypatch.delenv("AMENT_PREFIX_PATH", raising=False)
     install = tmp_path / "install"
-    prefixes = [install if one_prefix else install / package for package in ("scope_ui_bridge", "scope_bench")]
+    prefixes = [install if one_prefix else install / package for package in ("scope_ui_bridge", "icu_bringup")]
     bridge = prefixes[0] / "lib" / "scope_ui_bridge" / "ui_bridge"
     bridge.parent.mkdir(parents=True)
     monkeypatch.setattr(sys, "argv", [str(bridge)])
     recorder = Recorder(str(tmp_path / "sessions"))
     with pytest.raises(GraphError, match="bag_record is not installed beside this program"):
         recorder.start(lambda ok, text: None)
-    made(prefixes[1] / "lib" / "scope_bench" / "bag_record", "#!/bin/sh\necho recording\n")
+    made(prefixes[1] / "lib" / "icu_bringup" / "bag_record", "#!/bin/sh\necho recording\n")
     answers: queue.Queue[bool] = queue.Queue()
     recorder.start(lambda ok, text: answers.put(ok))
     assert answers.get(timeout=WITHIN_S)
@@ -217,7 +217,7 @@ def test_a_recording_that_ends_by_itself_is_told(tmp_path: Path) -> None:
 
 def test_every_page_sees_that_a_recording_has_ended_by_itself(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     script = "#!/bin/sh\necho recording\necho 'error: the disk is full' >&2\nexit 1\n"
-    made(tmp_path / "install" / "lib" / "scope_bench" / "bag_record", script)
+    made(tmp_path / "install" / "lib" / "icu_bringup" / "bag_record", script)
     monkeypatch.setattr(sys, "argv", [str(tmp_path / "install" / "lib" / "scope_ui_bridge" / "ui_bridge")])
 
     async def scenario(rig: web_rig.Rig) -> None:

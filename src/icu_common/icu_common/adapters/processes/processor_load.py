@@ -13,7 +13,7 @@ import psutil
 
 from icu_common.core.processes.processor_load import ProcessorLoad, ProgramLoad, is_of_robot, program_name, sorted_loads
 
-PACKAGES = ("gantry_driver", "harris_perception", "icu_common", "scope_bench", "scope_ui_bridge")
+PACKAGES = ("gantry_driver", "harris_perception", "icu_bringup", "icu_common", "icu_simulator", "scope_ui_bridge")
 OVER_S = 0.5
 """Duration of one measurement in seconds."""
 FRESH_S = 3.0

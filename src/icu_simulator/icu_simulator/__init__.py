@@ -1,0 +1,1 @@
+"""Simulated bench: instrument panel, room, stereo camera, mechanics and touch."""

@@ -1,0 +1,1 @@
+"""Access to processes, files and sockets; no rclpy."""

@@ -1,0 +1,5 @@
+"""Command line programs."""
+
+from icu_common.adapters.processes.program_end import starts_in_one_line
+
+starts_in_one_line()

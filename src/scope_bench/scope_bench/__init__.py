@@ -1,1 +1,0 @@
-"""Simulated bench (instrument panel, stereo camera, mechanics, touch) and bring-up of the whole graph."""
