@@ -65,7 +65,7 @@ class SequenceNode(GraphNode):
         self._diagnostics = Diagnostics(self)
         # After a hold-up, executors other than our own take waiting messages in this order: a stop comes first.
         self._codes = StateCodes(self, "state", self._judge_controller)
-        self._driver_codes = StateCodes(self, "driver_state")
+        self._driver_reports = self._codes.of_another("driver_state")
         self.create_subscription(String, "state", self._on_controller, qos.EACH_LATCHED)
         self._drivers = self.create_subscription(String, "driver_state", self._on_driver, qos.EACH_LATCHED)
         self._results = self.create_subscription(DiagnosticArray, "result", self._on_result, qos.RESULTS)
@@ -184,7 +184,7 @@ class SequenceNode(GraphNode):
         if (run := self._at_work()) is not None:
             at_rest = state_name(self._controller) not in WORKING or bool(self.hindrance())
             # After a driver has died during a motion, its latched state is still "moving".
-            driver = self._driver_codes.message_of(self._driver) if self._drivers.get_publisher_count() else ""
+            driver = self._driver_reports.message_of(self._driver) if self._drivers.get_publisher_count() else ""
             self._act(run.tick(self._now_ns(), at_rest=at_rest, driver=driver))
 
     def _report(self) -> None:

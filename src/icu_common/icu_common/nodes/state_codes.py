@@ -36,7 +36,13 @@ class StateCodes:
     """
 
     def __init__(self, node: Node, topic: str, heard: Callable[[], object] = lambda: None) -> None:
-        self._topic, self._heard, self._reports = node.resolve_topic_name(topic), heard, StateReports()
+        self._node, self._topic, self._heard, self._reports = (
+            node,
+            node.resolve_topic_name(topic),
+            heard,
+            StateReports(),
+        )
+        self._others: dict[str, StateReports] = {}
         node.create_subscription(DiagnosticArray, "/diagnostics", self._on_report, qos.REPORTS)
 
     def values_of(self, text: str) -> Mapping[str, str] | None:
@@ -47,9 +53,15 @@ class StateCodes:
         """Return the message that was reported with the text of a state; the text alone if none was yet."""
         return self._reports.message_of(text)
 
+    def of_another(self, topic: str) -> StateReports:
+        """Follow the reports of one more state topic with the same subscription."""
+        return self._others.setdefault(self._node.resolve_topic_name(topic), StateReports())
+
     def _on_report(self, message: DiagnosticArray) -> None:
         for status in message.status:
             values = pairs_of(status)
+            if (other := self._others.get(values.get(TOPIC, ""))) is not None:
+                other.take(plain(status.message), values, message_of(status))
             if values.get(TOPIC) == self._topic:
                 self._reports.take(plain(status.message), values, message_of(status))
                 self._heard()
