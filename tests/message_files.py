@@ -108,7 +108,16 @@ ONLY_ELSEWHERE = {
         *("program_end", "option_bounds", "topic_names", "preparation", "message", "catalogue"),
     ),
     "programs that do not start, or the log": (
-        *("config", "machine_config", "controller_config", "parameters", "runtime", "camera_model", "frame_link"),
+        *(
+            "config",
+            "configuration_folder",
+            "machine_config",
+            "controller_config",
+            "parameters",
+            "runtime",
+            "camera_model",
+            "frame_link",
+        ),
         *(
             "camera_sources",
             "v4l2_source",
