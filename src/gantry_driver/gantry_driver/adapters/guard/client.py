@@ -51,6 +51,7 @@ WAY_OUT_S = 8.0
 """Maximum seconds after ``hold_timeout_s`` for a closed guard to lift the stylus and end."""
 GUARD_ENDED = Message("guard.guard_ended")
 NO_ANSWER = Message("guard.guard_not_answer")
+_ABSENT = (FileNotFoundError, ConnectionRefusedError)
 
 
 class GuardLink:
@@ -195,8 +196,7 @@ class GuardLink:
                 reason = self._serve()
                 retry_s = RETRY_S
             except (OSError, FrameError, KeyError, TypeError, ValueError) as error:
-                absent = isinstance(error, (FileNotFoundError, ConnectionRefusedError))
-                reason = "" if absent else Message("guard.guard", error=error)
+                reason = "" if isinstance(error, _ABSENT) else Message("guard.guard", error=error)
                 retry_s = min(2.0 * retry_s, LAST_RETRY_S) if reason else RETRY_S
             self._lost(reason)
             self._wait(retry_s)
