@@ -173,7 +173,7 @@ async def bodies(flood: Flood) -> None:
 
 async def requests(flood: Flood) -> None:
     """Request files as the observer, as fast as twenty connections can."""
-    await _asking(flood, 20, "GET", "/page/language/strings_en.js", 0.0, headers=flood.headers)
+    await _asking(flood, 20, "GET", "/page/language/en.ftl", 0.0, headers=flood.headers)
 
 
 async def pipelined(flood: Flood) -> None:

@@ -12,7 +12,9 @@ setup(
     name=NAME,
     version=VERSION,
     packages=find_packages(),
-    package_data={NAME: ["py.typed", "**/*.xml", "**/*.html", "**/*.css", "**/*.js", "**/*.svg"]},
+    package_data={
+        NAME: ["py.typed", "**/*.xml", "**/*.html", "**/*.css", "**/*.js", "**/*.svg", "**/*.ftl", "**/LICENSE"]
+    },
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/" + NAME]),
         ("share/" + NAME, ["package.xml"]),

@@ -15,6 +15,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from icu_common.core.geometry.frames import JOINTS
 from icu_common.core.goals.results import GoalResult
+from icu_common.nodes.messages.answers import answer_of
 from icu_common.nodes.messages.results import result_of_message
 from icu_common.nodes.qos import COMMAND, LATCHED, RESULTS, SENSOR
 
@@ -72,7 +73,10 @@ class Operator:
         self.until(client.service_is_ready)
         future = client.call_async(service.Request(**fields))
         self.until(future.done)
-        return future.result()
+        answer = future.result()
+        if hasattr(answer, "message"):
+            answer.message = str.__str__(answer_of(answer.message))
+        return answer
 
     def go(
         self, *points: tuple[float, ...], names: tuple[str, ...] = JOINTS, last_m_s: float = 0.0, **head: Any

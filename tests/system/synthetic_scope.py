@@ -35,7 +35,10 @@ from icu_common.core.goals.results import GoalResult, Outcome
 from icu_common.core.panel.gesture import parse_gesture
 from icu_common.core.panel.panel_layout import Control, PanelLayout, load_layout, rgb
 from icu_common.core.panel.panel_state import ControlSeen, PanelSeen
+from icu_common.core.reasons.message import Message
+from icu_common.core.reasons.state_text import because
 from icu_common.nodes import qos
+from icu_common.nodes.diagnostics import Diagnostics
 from icu_common.nodes.messages.cameras import camera_info_message, image_message
 from icu_common.nodes.messages.clouds import cloud_message
 from icu_common.nodes.messages.heads import header, stamp_ns
@@ -44,11 +47,24 @@ from icu_common.nodes.messages.panels import controls_message, panel_state_messa
 from icu_common.nodes.messages.places import point_message, pose_message, transform_message
 from icu_common.nodes.messages.results import result_message, result_of_message
 from icu_common.nodes.runtime import run
+from icu_common.nodes.state_codes import code_values
 
 LAYOUT = Path(__file__).resolve().parents[2] / "config" / "scopes" / "dso_bench_4.yaml"
 PX_PER_MM = 4
 ERROR_M = 0.00042
 TIP_ABOVE_M = 0.03
+CALIBRATED = because(
+    "calibrated",
+    Message(
+        "calibration.samples_rms_predicted",
+        samples=12,
+        where="",
+        rms_mm=0.08,
+        held="",
+        sigma_mm=0.05,
+        made_at="2026-07-04T02:32:13+00:00",
+    ),
+)
 
 
 def camera() -> CameraModel:
@@ -148,7 +164,9 @@ class SyntheticScope(Node):
         self.create_timer(1 / 15, self.on_picture)
         self.create_timer(0.05, self.on_tick)
         self.controls.publish(controls_message(self.layout, header(0, PANEL)))
-        self.calibrations.publish(String(data="calibrated: rms 0.08 mm, 12 poses"))
+        self.calibrations.publish(String(data=CALIBRATED))
+        self.diagnostics = Diagnostics(self)
+        self.create_timer(1.0, self.report)
         self.say()
         threading.Thread(target=self.listen, daemon=True).start()
 
@@ -166,6 +184,10 @@ class SyntheticScope(Node):
             else:
                 setattr(self, word, float(rest[0]))
             print("heard", flush=True)
+
+    def report(self) -> None:
+        """Report the codes and values of the calibration's state, as the calibration's program does."""
+        self.diagnostics.tell("ok", CALIBRATED, code_values(self.calibrations.topic_name, {}))
 
     def say(self) -> None:
         self.states.publish(String(data=self.controller))

@@ -26,6 +26,7 @@ from icu_common.core.geometry.frames import BASE, CAMERA_LEFT, JOINTS
 from icu_common.core.geometry.geometry import Transform
 from icu_common.core.goals.results import GoalResult, Outcome
 from icu_common.nodes import qos
+from icu_common.nodes.messages.answers import answer_of
 from icu_common.nodes.messages.cameras import camera_info_message
 from icu_common.nodes.messages.clouds import cloud_message
 from icu_common.nodes.messages.heads import header, stamp_ns
@@ -121,7 +122,7 @@ class Rig:
     def call(self, name: str) -> tuple[bool, str]:
         future = self.clients[name].call_async(Trigger.Request())
         self.ros.spin_until(future.done, 10.0)
-        return future.result().success, future.result().message
+        return future.result().success, answer_of(future.result().message)
 
 
 def test_run_calibrates_publishes_and_saves(ros: Any, tmp_path: Path) -> None:

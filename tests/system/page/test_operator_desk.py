@@ -18,11 +18,16 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from graph_texts import german_phrases
+from fluent.runtime import FluentBundle, FluentResource
+from message_files import GRAPH, PAGE, constants, messages, values
 from system.conftest import executable
 from system.operator_browser import Operator
 from system.page_instrument import Instrument
 from system.page_rig import PERSON, axe, instrument, operator
+
+from icu_common.core.reasons.catalogue import key_of
+from icu_common.core.reasons.message import Message, joined, quoted, tree
+from icu_common.core.reasons.state_text import because
 
 __all__ = ["instrument", "operator"]  # fixtures
 STARTS_S = 60.0  # on a loaded machine a program is long in starting, and in writing its last
@@ -114,7 +119,7 @@ def test_numbers_have_the_languages_decimal_sign_and_are_taken_with_either(
         assert page.locator("#log tr:not(.nothing)").count() == rows, "nothing was sent"
         said = """async (text) => (await import("/page/language/said.js")).said(text)"""
         for text, german in (
-            ("lost the operator: no heartbeat for 0.6 s", "0,6 s"),
+            (tree(Message("wait.for_s", age_s=0.6)), "0,6 s"),
             ("press:0.120,0.080@base_link", "press:0.120,0.080@base_link"),
             ("at 10.0.0.5, GRBL 1.1h: $100=80.000", "at 10.0.0.5, GRBL 1.1h: $100=80.000"),
         ):
@@ -151,42 +156,71 @@ def test_what_is_shown_already_changes_its_language_too(operator: Operator, inst
         instrument.tell("motion 1.5")
 
 
-# Messages of the controller, the driver and the others, as they compose them.
+_UNLIKE = [
+    Message("sequence.unlike", check="lamp:RUN_STOP=red", instead=Message("panel.lamp", lamp="green")),
+    Message("sequence.unlike", check="effect", instead=Message("effect.none_seen")),
+]
+# Messages of the controller, the driver and the others.
 REASONS = {
-    "the driver is 'stopped: stop requested', 'idle' is needed": (
-        "der Treiber ist 'gestoppt: Stop verlangt', er muss ruhen"
-    ),
-    "lost the operator: no heartbeat for 0.6 s; the machine was told to stop": (
-        "Bediener verloren: seit 0,6 s kein Herzschlag; die Maschine soll anhalten"
-    ),
-    "step 2 of 3, press:M: not seen in time: lamp:RUN_STOP=red (lamp green), effect (none seen)": (
-        "Schritt 2 von 3, press:M: nicht rechtzeitig zu sehen: lamp:RUN_STOP=red (Lampe grün), effect (keine gesehen)"
-    ),
-    "error:9 (locked by an alarm) at line 12 'G1X3', after: 'something new (right)'": (
-        "Fehler 9 (durch einen Alarm gesperrt) in Zeile 12 'G1X3', davor: 'something new (right)'"
-    ),
-    "step 1: turn needs an angle in degrees, not zero and at most 360 either way, found '0'": (
-        "Schritt 1: turn braucht einen Winkel in Grad, nicht null, höchstens 360 in jede Richtung, gefunden: '0'"
-    ),
+    Message(
+        "hold.driver_idle_needed", driver=quoted(because("stopped", Message("driver.stop_requested")))
+    ): "der Treiber ist 'gestoppt: Stop verlangt', er muss ruhen",
+    Message(
+        "controller.machine_told_stop",
+        cause=Message("inputs.lost_operator_no_heartbeat", age=Message("wait.for_s", age_s=0.62)),
+    ): "Bediener verloren: seit 0,6 s kein Herzschlag; die Maschine soll anhalten",
+    Message(
+        "sequence.step_failed",
+        number=2,
+        steps=3,
+        gesture="press:M",
+        cause=Message("sequence.not_seen_time", missing=joined(_UNLIKE, "text.listed")),
+    ): ("Schritt 2 von 3, press:M: nicht rechtzeitig zu sehen: lamp:RUN_STOP=red (Lampe grün), effect (keine gesehen)"),
+    Message("board.lines_unanswered", reason="x", lost=1): "x; 1 Zeile unbeantwortet",
+    Message("board.lines_unanswered", reason="x", lost=1200): "x; 1200 Zeilen unbeantwortet",
     "a text of a program that nobody knows: 3 of 4 (left)": "a text of a program that nobody knows: 3 of 4 (left)",
 }
 
 
+def german_sentences() -> dict[Message, str]:
+    """Return a message for each code, and its German as Fluent's Python runtime writes it."""
+    file = PAGE / "language" / "de.ftl"
+    functions = {name: lambda value, **options: value for name in ("FIXED", "SHORT", "WORD")}
+    bundle = FluentBundle(["de"], functions=functions, use_isolating=False)
+    bundle.add_resource(FluentResource(file.read_text(encoding="utf-8")))
+    graph = messages(GRAPH)
+    codes = {text for text in constants() if key_of(text) in graph and "." in text}
+    wanted = {}
+    for code in codes:
+        given = {name: f"<{name}>" for name in values(key_of(code), graph)}
+        pattern = bundle.get_message(key_of(code)).value
+        assert pattern is not None
+        wanted[Message(code, **given)] = bundle.format_pattern(pattern, given)[0]
+    return wanted
+
+
 def speaks_german_for_the_graph(operator: Operator) -> None:
     say = "async (texts) => { const { said } = await import('/page/language/said.js'); return texts.map(said); }"
-    wanted = dict(REASONS)
-    for english, german in german_phrases().items():
-        values = [f"<{number}>" for number in range(english.count("{}"))]
-        wanted[english.format(*values)] = german.format(*values)
-    assert dict(zip(wanted, operator.page.evaluate(say, list(wanted)))) == wanted
-    made = "24 samples, rms 0.085 mm, predicted 0.047 mm, 2026-07-04T02:32:13+00:00"
+    wanted = {**REASONS, **german_sentences()}
+    assert len(wanted) > 600
+    assert dict(zip(wanted, operator.page.evaluate(say, [tree(text) for text in wanted]))) == wanted
+    made = Message(
+        "calibration.samples_rms_predicted",
+        samples=24,
+        where="",
+        rms_mm=0.085,
+        held="",
+        sigma_mm=0.047,
+        made_at="2026-07-04T02:32:13+00:00",
+    )
     local = datetime(2026, 7, 4, 2, 32, 13, tzinfo=timezone.utc).astimezone()
-    (german,) = operator.page.evaluate(say, [made])
+    (german,) = operator.page.evaluate(say, [tree(made)])
     assert german == f"24 Stellen, rms 0,085 mm, vorhergesagt 0,047 mm, {local:%d.%m.%Y, %H:%M}", (
         "the time of the reader's clock"
     )
+    other = tree(Message("goal.move", x=0.1, y=0.2, z=0.0, base="base_link"))
     others = "async (action) => (await import('/page/reports/command_log.js')).actionText({ action })"
-    said = operator.page.evaluate(others, "move to (0.1, 0.2, 0) m in base_link")
+    said = operator.page.evaluate(others, other)
     assert said == "fahren nach (0,1; 0,2; 0) m in base_link", "where somebody else's goal goes"
     target = "async (entry) => (await import('/page/reports/command_log.js')).targetText(entry)"
     for name in ("lamp", "constructor"):  # a key of the page's sentences, and one of every object
@@ -194,9 +228,12 @@ def speaks_german_for_the_graph(operator: Operator) -> None:
     press = {"action": "press", "target": "Menu", "reason": "", "error_mm": 0.05, "effect": ""}
     spoken = "async (entry) => (await import('/page/reports/command_log.js')).spoken(entry)"
     for more, german in (
-        ({"status": "reached", "effect": "lamp green -> red"}, "Wirkung: Lampe grün -> rot."),
-        ({"status": "reached", "effect": "none seen"}, "Wirkung: keine gesehen."),
-        ({"status": "aborted", "reason": "no reason given"}, "Ohne Grund"),
+        (
+            {"status": "reached", "effect": tree(Message("effect.lamp", lamp="green", lamp_2="red"))},
+            "Wirkung: Lampe grün -> rot.",
+        ),
+        ({"status": "reached", "effect": tree(Message("effect.none_seen"))}, "Wirkung: keine gesehen."),
+        ({"status": "aborted", "reason": tree(Message("controller.no_reason_given"))}, "Ohne Grund"),
     ):
         assert operator.page.evaluate(spoken, press | more).endswith(f"gemessener Fehler 0,05 mm. {german}")
     closed = operator.page.evaluate(target, {"action": "stop", "target": "stopped_page_gone"})
@@ -398,9 +435,22 @@ def test_connections_that_hang_and_places_that_are_taken(browser: Any, instrumen
 
 
 def test_a_calibration_that_has_drifted_is_not_shown_as_good(browser: Any, instrument: Instrument) -> None:
-    summary = "24 samples, rms 0.08 mm, predicted 0.05 mm, 2026-07-04T02:32:13+00:00"
-    drift = "the tip is seen 3.10 mm from its calibrated place: a camera or the machine has moved: calibrate again"
-    reasons = {"good": summary, "waiting": f"{summary}; drift: {drift}"}
+    summary = Message(
+        "calibration.samples_rms_predicted",
+        samples=24,
+        where="",
+        rms_mm=0.08,
+        held="",
+        sigma_mm=0.05,
+        made_at="2026-07-04T02:32:13+00:00",
+    )
+    drift = Message(
+        "text.more",
+        first=Message("drift.tip_seen_calibrated_place", tip_mm=3.1),
+        second=Message("drift.camera_machine_moved_calibrate_again"),
+    )
+    drifted = Message("calibration.drifted", summary=summary, drift=drift)
+    reasons = {"good": tree(summary), "waiting": tree(drifted)}
     words = {"en": {"good": "Calibrated", "waiting": "Drifted"}, "de": {"good": "Kalibriert", "waiting": "Verschoben"}}
     numbers = {"rms_mm": "0.051", "held_out_max_mm": "0.1", "predicted_sigma_mm": "0.030"}
     person = Operator(browser, instrument.new_address())

@@ -15,6 +15,7 @@ from gantry_driver.core.guard.messages import FrameReader, config_values, frame
 from gantry_driver.core.states.machine_states import StateChanged
 from gantry_driver.core.states.reasons import Why
 from icu_common.adapters.unix_listener import listen_at
+from icu_common.core.reasons.message import decoded
 
 
 class Rig:
@@ -106,4 +107,4 @@ def pressing(rig: Rig) -> NotedLink:
 
 def states(messages: list[dict[str, Any]]) -> list[str]:
     events = [event for message in messages for event in message.get("events", [])]
-    return [content["text"] for name, content in events if name == StateChanged.__name__]
+    return [decoded(content["text"]) for name, content in events if name == StateChanged.__name__]

@@ -37,7 +37,7 @@ PATTERNS = {"match", "search", "fullmatch", "findall", "finditer", "sub", "subn"
 
 FORMATS = {
     "gantry_driver/adapters/guard/client.py": (5, "keys of a JSON object"),
-    "gantry_driver/adapters/guard/server.py": (1, "keys of a JSON object"),
+    "gantry_driver/adapters/guard/server.py": (2, "keys of a JSON object"),
     "gantry_driver/core/machine/machine.py": (1, "a message of the board, which has no code"),
     "gantry_driver/mock/firmware/gcode.py": (1, "modal groups as G-code names them"),
     "harris_perception/cli/harris_evaluate.py": (1, "a column of a written table"),
@@ -48,21 +48,14 @@ FORMATS = {
 }
 """File -> number of lines whose text is written in a format, or by a program of others that has no codes, and why."""
 TO_MEND = {
-    "gantry_driver/cli/gantry_prepare.py": (1, "cameras that the calibration waits for: no code of it"),
-    "gantry_driver/core/goals/sequence.py": (1, "a changed screen: a code of it would change the golden bag's results"),
-    "gantry_driver/core/states/stylus_state.py": (2, "clause on the stylus in the driver's state"),
-    "icu_common/core/admission/rivals.py": (1, "conflicts that the driver's state names"),
-    "icu_common/core/processes/preparation.py": (1, "progress of a calibration: values on /diagnostics"),
+    "gantry_driver/cli/gantry_prepare.py": (
+        1,
+        "a latched state: its code comes later, once a second",
+    ),
+    "icu_common/core/processes/preparation.py": (1, "the same: progress in the latched text alone"),
 }
 """File -> number of lines that still look at words, and at which; a line that is mended is taken off."""
 
-TO_MEND_ON_THE_PAGE = {
-    "connection/desk.js": (1, "a requested stop, whose cause the banner has"),
-    "elements/status.js": (1, "a calibration that has drifted"),
-    "orders/sequence.js": (1, "the step that a reason begins with, which the row shows already"),
-    "reports/guide.js": (1, "progress of a calibration: values among the facts"),
-}
-"""The same for the page's scripts; ``language`` is left out, as it finds the translation of a whole text."""
 _WORD = r"\b(?:message|reason|said|told|why|cause)\b"
 _SEARCH = r"\.(?:includes|startsWith|endsWith|indexOf|match|search|split|replace|replaceAll)\("
 ON_THE_PAGE = re.compile(
@@ -267,8 +260,7 @@ def test_a_line_of_the_page_that_looks_at_words_is_found(line: str, found: bool)
 def test_no_script_of_the_page_looks_at_the_words_of_a_message() -> None:
     found = {}
     for script in sorted(PAGE.rglob("*.js")):
-        if script.parent.name != "language":
+        if "vendor" not in script.parts:
             lines = [line.strip() for line in script.read_text().splitlines() if ON_THE_PAGE.search(line)]
             found[str(script.relative_to(PAGE))] = lines
-    wrong = {name: lines for name, lines in found.items() if len(lines) != TO_MEND_ON_THE_PAGE.get(name, (0, ""))[0]}
-    assert found and not wrong
+    assert len(found) > 30 and {name: lines for name, lines in found.items() if lines} == {}

@@ -24,6 +24,7 @@ from gantry_driver.core.machine.machine import Machine
 from gantry_driver.core.states.machine_states import CloseRequested, Event, Note
 from gantry_driver.core.states.reasons import Why
 from icu_common.adapters.real_time import steady_s
+from icu_common.core.reasons.message import Message, quoted
 
 T = TypeVar("T")
 
@@ -199,7 +200,7 @@ class SerialLink:
             except Exception as error:
                 # Whatever the error, nothing would stop the board after the end of this thread.
                 self._write_hold()
-                self._lost(f"error in the driver: {error!r}")
+                self._lost(Message("link.error_driver", error=quoted(error)))
                 # The receiver of the events may be the cause, and fail again.
                 with contextlib.suppress(Exception):
                     self._publish()
@@ -294,7 +295,7 @@ class SerialLink:
             return b""
         # With VMIN = 0, as set, an empty answer alone would not mean that the device has disappeared.
         if not data:
-            raise OSError(errno.EIO, "the device has gone")
+            raise OSError(errno.EIO, Message("link.device_gone"))
         return data
 
     def _write(self) -> None:
@@ -345,5 +346,5 @@ class SerialLink:
 def _plain(error: Exception) -> str:
     number = getattr(error, "errno", None)
     if number == errno.EAGAIN:  # another program has the lock
-        return "in use by another program, as while a driver runs"
+        return Message("guard.use_another_program_while_driver")
     return os.strerror(number) if number else str(error)

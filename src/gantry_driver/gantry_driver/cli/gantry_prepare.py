@@ -34,6 +34,7 @@ from icu_common.core.processes.preparation import Cause, Report, Stage, calibrat
 from icu_common.core.processes.processor_load import ProcessorLoad
 from icu_common.core.reasons.codes import DriverCode
 from icu_common.core.reasons.state_text import state_name
+from icu_common.nodes.messages.answers import answer_of
 from icu_common.nodes.runtime import own_arguments
 
 DRIVER, CALIBRATION, CONTROLLER = "gantry/driver_state", "calibration/state", "gantry/state"
@@ -259,14 +260,14 @@ class _Steps:
                 break
             again = time.monotonic() + RETRY_S
             late = again > min(began + patience_s * self._factor, self._until)
-            if late and not (patience_s and self._grow(f"{name} is refused so far: {answer.message}")):
-                raise Failed(f"{name} was refused: {answer.message}")
-            if answer.message != refusal:
-                refusal = answer.message
+            if late and not (patience_s and self._grow(f"{name} is refused so far: {answer_of(answer.message)}")):
+                raise Failed(f"{name} was refused: {answer_of(answer.message)}")
+            if answer_of(answer.message) != refusal:
+                refusal = answer_of(answer.message)
                 self._narrator.say(f"{name} is refused so far: {refusal}")
             self._pause_until(again)
         session.node.destroy_client(client)
-        self._narrator.say(f"{name}: {answer.message or 'accepted'}")
+        self._narrator.say(f"{name}: {answer_of(answer.message) or 'accepted'}")
 
     def _pause_until(self, when: float) -> None:
         self.wait(lambda: time.monotonic() > when, "out of time")

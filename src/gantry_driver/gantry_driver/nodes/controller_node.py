@@ -40,6 +40,7 @@ from icu_common.core.goals.intent import frame_of
 from icu_common.core.goals.results import GoalResult
 from icu_common.core.processes.delays import is_delayed, with_load
 from icu_common.core.reasons.codes import CODE
+from icu_common.core.reasons.message import Message, quoted
 from icu_common.core.reasons.state_text import state_name
 from icu_common.nodes import qos
 from icu_common.nodes.admission.sources import Judge, SourceWatch
@@ -61,7 +62,7 @@ from icu_common.nodes.messages.places import (
 from icu_common.nodes.messages.results import result_message, result_of_message
 from icu_common.nodes.parameters import LiveParameters
 from icu_common.nodes.runtime import run
-from icu_common.nodes.state_codes import code_values
+from icu_common.nodes.state_codes import StateCodes, code_values
 from icu_common.nodes.timers import every
 
 TICK_S, WALL_TICK_S = 0.05, 0.1
@@ -95,7 +96,8 @@ class ControllerNode(GraphNode):
         self._attended = False
         self._plane = self.create_publisher(PoseWithCovarianceStamped, "panel/plane", qos.LATCHED)
         self._diagnostics = Diagnostics(self, "gantry controller")
-        self._hear(String, "driver_state", qos.EACH_LATCHED, lambda m: msg.DriverState(text=plain(m.data)))
+        self._driver_codes = StateCodes(self, "driver_state")
+        self._hear(String, "driver_state", qos.EACH_LATCHED, self._driver_state)
         self._hear(
             JointState,
             "joint_states",
@@ -139,6 +141,9 @@ class ControllerNode(GraphNode):
         """Hold the machine if a goal is in progress, and report that the controller has ended."""
         self._act(self._controller.close(self._now_ns()))
         self._load.finish()
+
+    def _driver_state(self, message: String) -> msg.Event:
+        return msg.DriverState(text=self._driver_codes.message_of(plain(message.data)))
 
     def _hear(
         self,
@@ -211,7 +216,9 @@ class ControllerNode(GraphNode):
             yield
         except Exception as error:
             self.get_logger().fatal(traceback.format_exc())
-            self._act(self._controller.fail(f"error in the controller: {error!r}", self._now_ns()))
+            self._act(
+                self._controller.fail(Message("controller.error_controller", error=quoted(error)), self._now_ns())
+            )
             self._stop.wait_for_all_acked(LAST_WORDS)
             raise
 
@@ -238,7 +245,11 @@ class ControllerNode(GraphNode):
                 case msg.PublishResult():
                     self._answer(action.result)
                 case msg.ReportDelay():
-                    self._load.describe(partial(self._report_delay, f"{action.delay.text()}; {action.then}"))
+                    self._load.describe(
+                        partial(
+                            self._report_delay, Message("text.and_also", first=action.delay.text(), second=action.then)
+                        )
+                    )
                 case msg.SetState():
                     self._diagnose()  # before the text, whose code other programs look for there
                     self._state.publish(String(data=action.text))
@@ -296,7 +307,9 @@ def _panel_controls(message: MarkerArray) -> msg.Event:
 def _camera_from_base(message: TransformStamped) -> msg.Event:
     check_frame(message.header, CAMERA_LEFT)
     if message.child_frame_id != BASE:
-        raise ValueError(f"child frame {message.child_frame_id!r}, {BASE!r} is needed")
+        raise ValueError(
+            Message("controller.child_frame_needed", child_frame_id=quoted(message.child_frame_id), base=quoted(BASE))
+        )
     return msg.CameraFromBase(transform=transform_of_message(message))
 
 

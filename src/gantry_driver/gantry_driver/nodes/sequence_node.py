@@ -21,7 +21,8 @@ from icu_common.core.configuration.text_bounds import plain
 from icu_common.core.goals.results import GoalResult, Outcome
 from icu_common.core.goals.sequence import Sequence, SequenceError, parse_file, unfit
 from icu_common.core.reasons.codes import CODE, MAX_REPORTS, NOT_OPERABLE
-from icu_common.core.reasons.state_text import state_name
+from icu_common.core.reasons.message import Message, quoted
+from icu_common.core.reasons.state_text import because, state_name
 from icu_common.nodes import qos
 from icu_common.nodes.diagnostics import Diagnostics
 from icu_common.nodes.graph_node import GraphNode
@@ -30,7 +31,7 @@ from icu_common.nodes.messages.panels import panel_state_of_message
 from icu_common.nodes.messages.results import result_message, result_of_message
 from icu_common.nodes.parameters import LiveParameters
 from icu_common.nodes.runtime import run
-from icu_common.nodes.state_codes import StateCodes
+from icu_common.nodes.state_codes import StateCodes, code_values
 from icu_common.nodes.timers import every, runs_by_clock_topic, seconds_of
 
 TICK_S = 0.1
@@ -64,6 +65,7 @@ class SequenceNode(GraphNode):
         self._diagnostics = Diagnostics(self)
         # After a hold-up, executors other than our own take waiting messages in this order: a stop comes first.
         self._codes = StateCodes(self, "state", self._judge_controller)
+        self._driver_reports = self._codes.of_another("driver_state")
         self.create_subscription(String, "state", self._on_controller, qos.EACH_LATCHED)
         self._drivers = self.create_subscription(String, "driver_state", self._on_driver, qos.EACH_LATCHED)
         self._results = self.create_subscription(DiagnosticArray, "result", self._on_result, qos.RESULTS)
@@ -76,12 +78,12 @@ class SequenceNode(GraphNode):
     def close(self) -> None:
         """Report the end of an unfinished sequence; the controller finishes its gesture and then rests."""
         if self._run is not None:
-            self._act(self._run.abort("the sequencer is ending", self._now_ns()))
+            self._act(self._run.abort(Message("sequence.sequencer_ending"), self._now_ns()))
 
     def hindrance(self) -> str:
         """Return why no sequence can be carried out now, empty if one can: without a controller, commands are lost."""
         heard = self._command.get_subscription_count() and self._results.get_publisher_count()
-        return "" if heard else "no gantry controller listens"
+        return "" if heard else Message("sequence.no_gantry_controller_listens")
 
     def _now_ns(self) -> int:
         return int(self.get_clock().now().nanoseconds)
@@ -91,7 +93,7 @@ class SequenceNode(GraphNode):
         before_s, self._awake_s = self._awake_s, self._steady_s()
         held_up_s = self._awake_s - before_s
         if self._run is not None and held_up_s > HELD_UP_S:
-            self._act(self._run.abort(f"the sequencer was held up for {held_up_s:.1f} s", self._now_ns()))
+            self._act(self._run.abort(Message("sequence.sequencer_held_up", held_up_s=held_up_s), self._now_ns()))
         return self._run
 
     def _on_sequence(self, message: String) -> None:
@@ -104,7 +106,7 @@ class SequenceNode(GraphNode):
             run_id, text = plain(first[3:60].strip()[:48]), "\n" + rest
         try:
             if (run := self._at_work()) is not None:
-                raise SequenceError(f"busy with {run.run_id!r}, {run.state}")
+                raise SequenceError(Message("sequence.busy", run_id=quoted(run.run_id), state=run.state))
             if hindrance := self.hindrance():
                 raise SequenceError(hindrance)
             sequence = parse_file(text)
@@ -170,7 +172,7 @@ class SequenceNode(GraphNode):
             if values is None and not stopped:
                 self._unjudged.append(text)
             elif stopped and (run := self._at_work()) is not None:
-                self._act(run.stopped(text, self._now_ns()))
+                self._act(run.stopped(self._codes.message_of(text), self._now_ns()))
 
     def _on_driver(self, message: String) -> None:
         state = plain(message.data)
@@ -182,15 +184,16 @@ class SequenceNode(GraphNode):
         if (run := self._at_work()) is not None:
             at_rest = state_name(self._controller) not in WORKING or bool(self.hindrance())
             # After a driver has died during a motion, its latched state is still "moving".
-            driver = self._driver if self._drivers.get_publisher_count() else ""
+            driver = self._driver_reports.message_of(self._driver) if self._drivers.get_publisher_count() else ""
             self._act(run.tick(self._now_ns(), at_rest=at_rest, driver=driver))
 
     def _report(self) -> None:
         hindrance = self.hindrance()
         level, text = (
-            ("warn", f"waiting: {hindrance}") if hindrance else ("ok", self._run.state if self._run else "idle")
+            ("warn", because("waiting", hindrance)) if hindrance else ("ok", self._run.state if self._run else "idle")
         )
-        self._diagnostics.tell(level, text, [("sequences", self._count)])
+        codes = code_values(self._state.topic_name, {})
+        self._diagnostics.tell(level, text, [("sequences", self._count), *codes])
 
     def _act(self, actions: list[Action]) -> None:
         for action in actions:

@@ -46,10 +46,12 @@ from icu_common.core.admission.sources import base_name, distrust_text
 from icu_common.core.configuration.text_bounds import plain
 from icu_common.core.geometry.frames import JOINTS
 from icu_common.core.goals.intent import Intent, read_frame
-from icu_common.core.reasons.state_text import state_name
+from icu_common.core.reasons.message import Message
+from icu_common.core.reasons.state_text import because, state_name
 from icu_common.nodes.admission.sources import SourceWatch
 from icu_common.nodes.diagnostics import sender_values
 from icu_common.nodes.graph_node import GraphLifecycleNode, this_process
+from icu_common.nodes.messages.answers import answer_text
 from icu_common.nodes.messages.heads import header, stamp_ns
 from icu_common.nodes.messages.joints import joint_message
 from icu_common.nodes.messages.results import diagnostic_status, result_message
@@ -66,7 +68,7 @@ CONTROLLER = "gantry_controller"
 LINK_CHECK_S = 0.5
 PUBLISH_WITHIN_S = 2.0
 """Maximum seconds to publish the remaining messages when the driver ends."""
-LINK_ENDED = "the thread of the guard has ended"
+LINK_ENDED = Message("driver.thread_guard_ended")
 LEVELS = {
     **dict.fromkeys(("idle", "moving", "homing"), "ok"),
     **dict.fromkeys(("disabled", "unhomed", "connecting", "stopped"), "warn"),
@@ -130,7 +132,7 @@ class SerialDriverNode(GraphLifecycleNode):
             signal.set_wakeup_fd(self._old_wakeup_fd)
             self._old_wakeup_fd = None
         self._configured = False
-        self._link.close("the driver is ending")
+        self._link.close(Message("driver.driver_ending"))
 
     # --- lifecycle -------------------------------------------------------------------------------------------------
 
@@ -192,9 +194,9 @@ class SerialDriverNode(GraphLifecycleNode):
             self.get_logger().warning(f"unreadable trajectory ignored: {error}", throttle_duration_sec=1.0)
             return
         if head.points > most or len(data) > max_bytes(most):
-            reason = f"the trajectory has {head.points} points, 1 to {most} are needed"
+            reason = Message("path.trajectory_points_1_needed", points=head.points, max_points=most)
             if head.points <= most:
-                reason = f"the trajectory has {len(data)} bytes (limit {max_bytes(most)})"
+                reason = Message("driver.trajectory_bytes_limit", data=len(data), max_bytes=max_bytes(most))
             self._on_events([Answered(result=refusal(head, reason))])
             return
         self._on_trajectory(deserialize_message(data, JointTrajectory))
@@ -249,24 +251,24 @@ class SerialDriverNode(GraphLifecycleNode):
         self._link.tell("panel", plane=plane.values(), age_s=age_s)
 
     def _on_home(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        return _fill(response, self._link.ask("home"), "accepted: homing")
+        return _fill(response, self._link.ask("home"), Message("driver.accepted_homing"))
 
     def _on_stop(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self._link.stop(STOP_REQUESTED)
-        return _fill(response, "", "stopping")
+        return _fill(response, "", Message("driver.stopping"))
 
     def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        return _fill(response, self._link.ask("reset"), "accepted: reset")
+        return _fill(response, self._link.ask("reset"), Message("driver.accepted_reset"))
 
     def _on_accept(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        return _fill(response, self._link.ask("accept_settings"), "accepted")
+        return _fill(response, self._link.ask("accept_settings"), Message("driver.accepted"))
 
     def _on_write(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         refusal = self._link.ask("write_settings")
-        return _fill(response, refusal, "accepted: writing the configured settings; they are read back")
+        return _fill(response, refusal, Message("driver.accepted_writing_configured_settings_they"))
 
     def _on_enable(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
-        text = "enabled" if request.data else "disabled"
+        text = Message("driver.enabled" if request.data else "driver.disabled")
         return _fill(response, self._link.ask("enable", on=request.data), text)
 
     def _unrest(self) -> str:
@@ -350,7 +352,7 @@ class SerialDriverNode(GraphLifecycleNode):
                 "the thread that publishes has ended; the driver ends too, so that bring-up starts it anew"
             )
         if self._configured and not self._link.alive:
-            self._state.publish(String(data=f"disconnected: {LINK_ENDED}"))
+            self._state.publish(String(data=because("disconnected", LINK_ENDED)))
             raise RuntimeError(f"{LINK_ENDED}; the driver ends too, so that bring-up starts it anew")
 
     def _now_ns(self) -> int:
@@ -363,7 +365,8 @@ def _waypoint(point: JointTrajectoryPoint) -> Waypoint:
 
 
 def _fill(response: Any, refusal: str, success: str) -> Any:
-    response.success, response.message = not refusal, f"refused: {refusal}" if refusal else success
+    text = Message("driver.refused", refusal=refusal) if refusal else success
+    response.success, response.message = not refusal, answer_text(text)
     return response
 
 

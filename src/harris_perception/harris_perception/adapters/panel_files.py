@@ -12,6 +12,7 @@ import numpy.typing as npt
 from harris_perception.core.recognition.panel_teaching import Taught, TeachingError
 from icu_common.core.configuration.config import ConfigError
 from icu_common.core.panel.panel_layout import LayoutError, PanelLayout, load_layout
+from icu_common.core.reasons.message import Message
 
 
 def read_panel(layout: str, template: str) -> tuple[PanelLayout, npt.NDArray[Any] | None]:
@@ -47,10 +48,10 @@ def write_panel(taught: Taught, folder: Path, source: str) -> tuple[Path, Path]:
     layout, template = folder / f"{taught.layout.model}.yaml", folder / f"{taught.layout.model}.png"
     for path in (layout, template):
         if path.exists():
-            raise TeachingError(f"{path} is there already; remove it, or choose another model")
+            raise TeachingError(Message("teach.already_remove_choose_another_model", path=path))
     good, png = cv2.imencode(".png", taught.template)
     if not good:
-        raise OSError(f"{template} cannot be encoded")
+        raise OSError(Message("teach.cannot_encoded", template=template))
     folder.mkdir(parents=True, exist_ok=True)
     # A panel is known once its layout exists, so the layout is written last and atomically.
     unfinished = layout.with_suffix(".part")

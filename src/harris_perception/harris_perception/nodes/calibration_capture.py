@@ -20,6 +20,7 @@ from harris_perception.core.cameras.board_detection import BoardDetector
 from harris_perception.core.cameras.view_collection import ViewCollection
 from harris_perception.core.image.gray import eight_bits, gray_of
 from icu_common.adapters.processes.program_end import end_signals
+from icu_common.core.reasons.message import Message
 from icu_common.nodes import qos
 from icu_common.nodes.diagnostics import Diagnostics
 from icu_common.nodes.graph_node import GraphNode
@@ -61,7 +62,8 @@ class CalibrationCaptureNode(GraphNode):
     ) -> None:
         super().__init__("calibration_capture", **options)
         self.collection = collection
-        self._say, self._said, self._hint = say, "", "no pictures yet"
+        self._say, self._said = say, ""
+        self._hint: str = Message("views.no_pictures_yet")
         self._detector = BoardDetector(collection.board, quick=True)
         self._folders = [Path(folder) for folder in folders]
         self._newest: list[tuple[int, npt.NDArray[np.uint8]] | None] = [None] * len(topics)
@@ -76,7 +78,7 @@ class CalibrationCaptureNode(GraphNode):
         try:
             gray = np.array(eight_bits(gray_of(image_array(message), message.encoding)))
         except ValueError as error:
-            self._hint = f"picture refused: {error}"
+            self._hint = Message("views.picture_refused", error=error)
             return
         self._newest[side] = stamp_ns(message.header.stamp), gray
         moment = [item for item in self._newest if item is not None]
@@ -90,7 +92,7 @@ class CalibrationCaptureNode(GraphNode):
             self._look([gray for _, gray in moment])
         elif len(self._apart_ns) >= _MANY:
             best, most = min(self._apart_ns) / 1e6, _MAX_APART_NS / 1e6
-            self._hint = f"both cameras' pictures are {best:.1f} ms apart, at most {most:g} are one moment"
+            self._hint = Message("views.both_cameras_pictures_apart_most", best_ms=best, most=most)
 
     def _look(self, pictures: Sequence[npt.NDArray[np.uint8]]) -> None:
         number = len(self.collection.kept)

@@ -31,11 +31,13 @@ from harris_perception.core.hand_eye_procedure.calibrator_config import Calibrat
 from harris_perception.core.pose.planar_pose import FACE_POINT_COLUMNS, FacePoints
 from icu_common.core.configuration.text_bounds import plain
 from icu_common.core.geometry.frames import BASE, CAMERA_LEFT, JOINTS
+from icu_common.core.reasons.message import Message
 from icu_common.nodes import qos
 from icu_common.nodes.alignment.pair_message import pair_of_message
 from icu_common.nodes.camera_info import CameraInfoSubscription
 from icu_common.nodes.diagnostics import Diagnostics
 from icu_common.nodes.graph_node import GraphNode
+from icu_common.nodes.messages.answers import answer_text
 from icu_common.nodes.messages.cameras import camera_model
 from icu_common.nodes.messages.clouds import cloud_array
 from icu_common.nodes.messages.heads import check_frame, check_not_ahead, header, stamp_ns
@@ -51,6 +53,7 @@ from icu_common.nodes.messages.places import (
 from icu_common.nodes.messages.results import result_of_message
 from icu_common.nodes.parameters import LiveParameters
 from icu_common.nodes.runtime import run
+from icu_common.nodes.state_codes import code_values
 from icu_common.nodes.timers import every
 
 _TICK_S = 0.05
@@ -69,6 +72,7 @@ class HandEyeNode(GraphNode):
         self._axes = self.create_publisher(Float64MultiArray, "axes", qos.LATCHED)
         self._sigma = self.create_publisher(Float32, "sigma", qos.LATCHED)
         self._state = self.create_publisher(String, "state", qos.LATCHED)
+        self._topic = self._state.topic_name
         self._diagnostics = Diagnostics(self)
         self._act([SetState(self.calibrator.state)])
         self._load()
@@ -223,6 +227,8 @@ class HandEyeNode(GraphNode):
                 case SendGoal():
                     self._goal.publish(point_message(action.xyz, header(action.stamp_ns, BASE)))
                 case SetState():
+                    values = code_values(self._topic, {})
+                    self._diagnostics.tell(self.calibrator.level, action.text, [*self.calibrator.values(), *values])
                     self._state.publish(String(data=action.text))
                 case SetAxes():
                     self._axes.publish(axes_message(action.base_from_reading))
@@ -251,7 +257,7 @@ class HandEyeNode(GraphNode):
 
     def _run(self) -> str:
         self._act(self.calibrator.run(self._now_ns()))
-        return "calibrating; watch the state"
+        return Message("calibration.calibrating_watch_state")
 
     def _solve(self) -> str:
         self._act(self.calibrator.solve(self._now_ns()))
@@ -260,27 +266,27 @@ class HandEyeNode(GraphNode):
     def _save(self) -> str:
         path = self._live.config.calibration_file
         if not path:
-            raise Refused("calibration_file is not set")
+            raise Refused(Message("calibration.calibration_file_not_set"))
         if self.calibrator.stored is None:
-            raise Refused("there is no calibration to save")
+            raise Refused(Message("calibration.no_calibration_save"))
         try:
             save(self.calibrator.stored, Path(path))
         except OSError as error:
-            raise Refused(f"the calibration could not be saved: {error}") from error
-        return f"saved to {path}"
+            raise Refused(Message("calibration.calibration_could_not_saved", error=error)) from error
+        return Message("calibration.saved", path=path)
 
     def _report(self) -> None:
         kept = self.calibrator
         self._act(kept.look_around(self._now_ns()))
-        self._diagnostics.tell(kept.level, kept.state, kept.values())
+        self._diagnostics.tell(kept.level, kept.state, [*kept.values(), *code_values(self._topic, {})])
 
 
 def _answered(call: Callable[[], str]) -> Callable[[Trigger.Request, Trigger.Response], Trigger.Response]:
     def answer(request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         try:
-            response.message, response.success = call(), True
+            response.message, response.success = answer_text(call()), True
         except Refused as refusal:
-            response.message, response.success = str(refusal), False
+            response.message, response.success = answer_text(str(refusal)), False
         return response
 
     return answer

@@ -19,6 +19,7 @@ from harris_perception.core.image.gray import bgr_of
 from harris_perception.core.recognition.panel_teaching import Request, TeachingError, parse_request, teach
 from icu_common.core.geometry.camera_model import CameraModel
 from icu_common.core.goals.results import GoalResult, Outcome
+from icu_common.core.reasons.message import Message, quoted
 from icu_common.nodes import qos
 from icu_common.nodes.messages.cameras import image_array
 from icu_common.nodes.messages.heads import stamp_ns
@@ -71,18 +72,21 @@ class PanelTeacher:
             self._answer(error.goal_id, "teach", Outcome.REJECTED, str(error))
             return
         if not self._folder:
-            self._refuse(request, "teach_folder is not set: there is nowhere to write a layout")
+            self._refuse(request, Message("teach.teach_folder_not_set_nowhere"))
             return
         if self._waiting is not None:
             before = self._waiting[0]
-            self._refuse(before, f"another panel was to be taught before the picture of {before.stamp_ns} came")
+            self._refuse(before, Message("teach.another_panel_taught_before_picture", stamp_ns=before.stamp_ns))
         self._waiting = request, self._seconds() + _PICTURE_WAIT_S
         self._try()
 
     def _on_tick(self) -> None:
         if self._waiting is not None and self._seconds() > self._waiting[1]:
             request, self._waiting = self._waiting[0], None
-            self._refuse(request, f"the picture of {request.stamp_ns} did not come within {_PICTURE_WAIT_S:g} s")
+            self._refuse(
+                request,
+                Message("teach.picture_did_not_come_within", stamp_ns=request.stamp_ns, picture_wait_s=_PICTURE_WAIT_S),
+            )
 
     def _try(self) -> None:
         if self._waiting is None or self._picture is None or self._picture[0] != self._waiting[0].stamp_ns:
@@ -101,10 +105,10 @@ class PanelTeacher:
         except Exception as error:
             # An uncaught error would end the work silently, and the client would wait forever; OpenCV has error types
             # of its own.
-            self._refuse(request, f"error while teaching: {error!r}")
+            self._refuse(request, Message("teach.error_while_teaching", error=quoted(error)))
             return
         details = {"layout": str(layout), "template": str(template), "start": how_to_start(taught, template)}
-        text = f"wrote {layout} and {template}"
+        text = Message("teach.wrote", layout=layout, template=template)
         self._answer(request.goal_id, request.lesson.model, Outcome.REACHED, text, details)
 
     def _refuse(self, request: Request, why: str) -> None:

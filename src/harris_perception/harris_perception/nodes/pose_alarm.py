@@ -14,6 +14,7 @@ from harris_perception.core.pose.face_depth import FaceDepth, height_above_face_
 from icu_common.core.geometry.frames import CAMERA_LEFT
 from icu_common.core.geometry.geometry import Transform
 from icu_common.core.panel.panel_layout import PanelLayout
+from icu_common.core.reasons.message import Message, joined
 from icu_common.nodes import qos
 from icu_common.nodes.messages.clouds import cloud_array
 from icu_common.nodes.messages.heads import check_frame, stamp_ns
@@ -81,7 +82,7 @@ class PoseAlarm:
         distinguish the panel from one with other labels.
         """
         if text is None and not (self._confirmed or self._marker_text):
-            text = "none of the panel's markers has been seen yet"
+            text = Message("panel.none_panel_markers_seen_yet")
         if text is None:
             return
         self._confirmed = self._confirmed or not text
@@ -103,7 +104,7 @@ class PoseAlarm:
 
     def _raise(self) -> None:
         """Publish the reason that forbids every motion, if it has changed."""
-        text = "; ".join(part for part in (self._marker_text, self._depth.text) if part)
+        text = joined(part for part in (self._marker_text, self._depth.text) if part)
         if text == self.text:
             return
         if text:

@@ -16,6 +16,7 @@ from harris_perception.pairing.offset import Offset, OffsetEstimator
 from harris_perception.pairing.search import Outline, Search
 from icu_common.core.geometry.camera_model import StereoModel
 from icu_common.core.geometry.geometry import Array
+from icu_common.core.reasons.message import Message
 
 _LONGEST_GAP_S = 0.2
 """Maximum time between two right images for interpolation between them."""
@@ -92,7 +93,7 @@ class FreeTips:
             return search
         at = self._right_at(pair.left_ns)
         if at is None:
-            return Search(tip=None, reason="the right image before it does not show the ball")
+            return Search(tip=None, reason=Message("tips.right_image_before_not_show"))
         return self._joined(search, at)
 
     def _right_at(self, stamp_ns: int) -> Array | None:
@@ -111,7 +112,7 @@ class FreeTips:
         left_px = search.left.centre_px
         rows = float(abs(left_px[1] - right_px[1]))
         if rows > search.row_limit_px:
-            reason = f"rows differ by {rows:.2f} px, above {search.row_limit_px:g}, at the left image's instant"
+            reason = Message("tips.rows_differ_above_left_image", rows_px=rows, row_limit_px=search.row_limit_px)
             return Search(tip=None, reason=reason, row_error_px=rows, row_limit_px=search.row_limit_px)
         right = dataclasses.replace(search.right, centre_px=right_px)
         tip = self.tracker.stereo.triangulate(left_px, right_px)[0]

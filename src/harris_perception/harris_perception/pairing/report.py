@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from harris_perception.pairing.free_pairs import Phase
 from harris_perception.pairing.offset import Offset
+from icu_common.core.reasons.message import Message
 
 NO_PAIR = "no_pair"
 """Both cameras send images, but no two of them form a pair."""
@@ -36,9 +37,11 @@ class PairingReport:
         """A sentence for people; empty if there is no parameter to change."""
         if self.code != NO_PAIR:
             return ""
-        return (
-            f"left and right images differ by {abs(self.difference_s) * 1e3:.1f} ms, "
-            f"tolerance {self.tolerance_s * 1e3:g} ms: set {self.parameter}"
+        return Message(
+            "tips.left_right_images_differ_tolerance",
+            difference_ms=abs(self.difference_s) * 1000.0,
+            tolerance_ms=self.tolerance_s * 1000.0,
+            parameter=self.parameter,
         )
 
 

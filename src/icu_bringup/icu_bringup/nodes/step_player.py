@@ -27,6 +27,7 @@ from icu_bringup.nodes.bag_player import BagPlayer
 from icu_common.adapters.steps.step_gate import StepGate
 from icu_common.core.goals.intent import read_frame
 from icu_common.nodes.graph_node import this_process
+from icu_common.nodes.messages.answers import answer_of
 from icu_common.nodes.messages.heads import stamp_ns
 from icu_common.nodes.qos import RESULTS
 from icu_common.nodes.runtime import Session
@@ -175,8 +176,8 @@ class StepPlayer:
             self._session.spin(0.02)
         answer = future.result() if future.done() else None
         if answer is None or not answer.success:
-            raise BagError(f"{service}: {'no answer' if answer is None else answer.message}")
-        print(f"{service}: {answer.message}")
+            raise BagError(f"{service}: {'no answer' if answer is None else answer_of(answer.message)}")
+        print(f"{service}: {answer_of(answer.message)}")
 
 
 def _cues(bag: BagReader, topics: Collection[str]) -> list[str]:

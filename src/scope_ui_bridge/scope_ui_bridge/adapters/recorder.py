@@ -17,6 +17,7 @@ from typing import TextIO
 
 from icu_common.adapters.executables import find_executable
 from icu_common.adapters.real_time import give_up_real_time
+from icu_common.core.reasons.message import Message, joined
 from scope_ui_bridge.adapters.graph_port import GraphError
 
 _LOG = logging.getLogger(__name__)
@@ -77,14 +78,14 @@ class Recorder:
     def start(self, answered: Answered, who: str = "") -> None:
         """Start, and answer with the path once it records; GraphError if it cannot start."""
         if self._folder is None:
-            raise GraphError("record_folder is empty: nothing is recorded here")
+            raise GraphError(Message("record.record_folder_empty_nothing_recorded"))
         with self._change:
             if self._process is not None and self._process.poll() is None:
-                raise GraphError(f"already recording to {self._output}")
+                raise GraphError(Message("record.already_recording", output=self._output))
             try:
                 program = self._program or find_executable("icu_bringup", "bag_record", Path(sys.argv[0]))
             except FileNotFoundError as error:
-                raise GraphError("bag_record is not installed beside this program") from error
+                raise GraphError(Message("record.bag_record_not_installed_beside")) from error
             self._output = self._folder / f"{datetime.now():%Y-%m-%d_%H-%M-%S-%f}"
             command = [str(program), "-o", str(self._output), "--compress", "jpeg", "--exclude", _FOR_VIEWERS]
             command += ["--child-of", str(os.getpid())]  # the next bridge after a killed one has no record of it
@@ -97,7 +98,7 @@ class Recorder:
                 self._process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=errors, text=True)
                 give_up_real_time(self._process.pid)  # it compresses images on all processors
             except OSError as error:
-                raise GraphError(f"cannot record to {self._output}: {error}") from error
+                raise GraphError(Message("record.cannot_record", output=self._output, error=error)) from error
             self._records, self._ended, self._who = False, None, who
             follow = (self._process, self._output, errors, answered)
             threading.Thread(target=self._follow, args=follow, name="recorder", daemon=True).start()
@@ -106,9 +107,9 @@ class Recorder:
         """End the recording, and answer with its contents once the bag is complete; GraphError if there is none."""
         with self._change:
             if self._process is None or self._process.poll() is not None:
-                raise GraphError("nothing is being recorded")
+                raise GraphError(Message("record.nothing_being_recorded"))
             if self._ended is not None:
-                raise GraphError(f"{self._output} is being finished already")
+                raise GraphError(Message("record.being_finished_already", output=self._output))
             self._ended = answered
             if self._records:
                 self._process.send_signal(signal.SIGINT)
@@ -138,13 +139,15 @@ class Recorder:
                 if records and self._ended is not None:
                     process.send_signal(signal.SIGINT)
             if records:
-                started(True, f"recording to {output}")
+                started(True, Message("record.recording", output=output))
             summary = said.read().strip()
         whole = process.wait() in (0, _INCOMPLETE)
         with self._change:
             if self._process is process:
                 self.recording = None
-        why = "; ".join(filter(None, [f"bag_record ended with {process.returncode}", summary, *_told(errors)]))
+        why = joined(
+            filter(None, [Message("record.bag_record_ended", returncode=process.returncode), summary, *_told(errors)])
+        )
         if not records:
             started(False, why)
         with self._change:
@@ -153,7 +156,7 @@ class Recorder:
         if ended is None and records:
             ended = self._ended_alone
         if ended is not None:
-            ended(whole, f"recorded to {summary}" if whole else why)
+            ended(whole, Message("record.recorded", summary=summary) if whole else why)
 
 
 def _told(errors: TextIO) -> list[str]:

@@ -16,8 +16,10 @@ from std_srvs.srv import SetBool, Trigger
 
 from icu_common.adapters.direct_stop.line import send_stop, stop_path
 from icu_common.core.geometry.frames import CAMERA_LEFT
+from icu_common.core.reasons.message import Message
 from icu_common.nodes import qos
 from icu_common.nodes.graph_node import GraphNode
+from icu_common.nodes.messages.answers import answer_of
 from icu_common.nodes.messages.cameras import image_message
 from icu_common.nodes.messages.heads import header
 from icu_common.nodes.messages.places import point_message
@@ -65,7 +67,9 @@ class GraphOutlets:
         return int(self._node.get_clock().now().nanoseconds)
 
     def stop(self, answered: Callable[[bool, str], None]) -> None:
-        stopped = send_stop(self._guard, "stop requested")  # first, because it does not need the middleware
+        stopped = send_stop(
+            self._guard, Message("driver.stop_requested")
+        )  # first, because it does not need the middleware
         self._stop_request.publish(Empty())
         if self._stop_service.service_is_ready():
             asked = self._stop_service.call_async(Trigger.Request())
@@ -73,7 +77,7 @@ class GraphOutlets:
         elif stopped:
             answered(True, "")
         elif self._stop_request.get_subscription_count() == 0:
-            answered(False, "no driver listens")
+            answered(False, Message("bridge.no_driver_listens"))
         self._node.get_logger().warning("stop")
 
     def heartbeat(self) -> None:
@@ -81,34 +85,34 @@ class GraphOutlets:
 
     def send_command(self, text: str) -> None:
         if self._command.get_subscription_count() == 0:
-            raise GraphError("no gantry controller listens")
+            raise GraphError(Message("sequence.no_gantry_controller_listens"))
         self._command.publish(String(data=text))
 
     def send_sequence(self, text: str) -> None:
         if self._sequence.get_subscription_count() == 0:
-            raise GraphError("no sequencer listens")
+            raise GraphError(Message("bridge.no_sequencer_listens"))
         self._sequence.publish(String(data=text))
 
     def send_teaching(self, text: str, stamp_ns: int, encoding: str, picture: npt.NDArray[Any]) -> None:
         if not (self._teach_request.get_subscription_count() and self._teach_picture.get_subscription_count()):
-            raise GraphError("no recognition listens that could be taught a panel")
+            raise GraphError(Message("bridge.no_recognition_listens_could_taught"))
         self._teach_picture.publish(image_message(picture, encoding, header(stamp_ns, CAMERA_LEFT)))
         self._teach_request.publish(String(data=text))
 
     def send_goal(self, frame: str, point: tuple[float, float], stamp_ns: int) -> None:
         if self._goal.get_subscription_count() == 0:
-            raise GraphError("no gantry controller listens")
+            raise GraphError(Message("sequence.no_gantry_controller_listens"))
         self._goal.publish(point_message([*point, 0.0], header(stamp_ns, frame)))
 
     def call(self, service: str, answered: Callable[[bool, str], None]) -> None:
         switch = service in ("enable", "disable")
         client = self._enable_service if switch else self._triggers[service]
         if not client.service_is_ready():
-            raise GraphError(f"the service {_SERVICES[service]} is not there")
+            raise GraphError(Message("bridge.service_not", services=_SERVICES[service]))
         request = SetBool.Request(data=service == "enable") if switch else Trigger.Request()
 
         def done(future: Any) -> None:
             answer = future.result()
-            answered(bool(answer.success), str(answer.message))
+            answered(bool(answer.success), answer_of(answer.message))
 
         client.call_async(request).add_done_callback(done)

@@ -14,10 +14,11 @@ from icu_common.adapters.processes.process_identity import is_alive, process_num
 from icu_common.adapters.processes.processor_load import LoadMeter
 from icu_common.core.configuration.text_bounds import plain
 from icu_common.core.reasons.codes import CODE, REASON, TOPIC
+from icu_common.core.reasons.message import MESSAGE, Message
 from icu_common.nodes import qos
 from icu_common.nodes.graph_node import GraphNode
 from icu_common.nodes.messages.heads import MAX_NAME, stamp_ns
-from icu_common.nodes.messages.results import pairs_of
+from icu_common.nodes.messages.results import message_of, pairs_of
 from icu_common.nodes.timers import every, seconds_of
 from scope_ui_bridge.adapters.web.web_server import WebServer
 from scope_ui_bridge.core.desk import Desk
@@ -68,10 +69,10 @@ class ProgramWatch:
                 self._node.get_logger().info(f"{name} reports again")
             part = next((part for reporter, part in _REPORTERS.items() if reporter in name), "")
             if part:
-                shown = {name: value for name, value in facts.items() if name not in (CODE, REASON, TOPIC)}
+                shown = {name: value for name, value in facts.items() if name not in (CODE, MESSAGE, REASON, TOPIC)}
                 self._mail.newest(f"facts {part}", self._desk.machine.set_facts, part, shown)
             if stated := self._stated.get(facts.get(TOPIC, "")):
-                self._mail.each(self._desk.set_report, stated, plain(status.message), facts)
+                self._mail.each(self._desk.set_report, stated, plain(status.message), facts, message_of(status))
 
     def _on_log(self, message: Log) -> None:
         level = _LEVELS.get(message.level)
@@ -97,7 +98,9 @@ class ProgramWatch:
         late = [change for change in changes if change.condition is Condition.LATE]
         if late:
             silent_s, names = min(change.silent_s for change in late), ", ".join(change.name for change in late)
-            self._load.describe(partial(self._report_late, f"no report for {silent_s:.0f} s, late: {names}"))
+            self._load.describe(
+                partial(self._report_late, Message("bridge.no_report_late", silent_s=silent_s, names=names))
+            )
         for change in changes:
             if change.condition is Condition.ENDED:
                 self._node.get_logger().error(f"{change.name} has ended")

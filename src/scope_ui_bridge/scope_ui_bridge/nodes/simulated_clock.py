@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 
+from icu_common.core.reasons.message import Message
 from icu_common.nodes.graph_node import GraphNode, this_process
 from icu_common.nodes.timers import every
 
@@ -27,5 +28,5 @@ class SimulatedClock:
             self._ros_ns, self._since_s, self._reported = ros_ns, wall_s, False
         elif wall_s - self._since_s > _SILENT_S and not self._reported:
             self._reported = True
-            text = f"simulated time has stood still for {_SILENT_S:g} s: the bench, or a program it waits for, is late"
+            text = Message("page.simulated_time_stood_still_bench", silent_s=_SILENT_S)
             self._node.get_logger().error(text)

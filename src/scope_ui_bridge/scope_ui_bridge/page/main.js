@@ -7,7 +7,7 @@ import { find, say } from "./elements/dom.js";
 import { keepFocus } from "./elements/focus.js";
 import { relabelNumbers, wireNumbers } from "./elements/number_fields.js";
 import { wireTabs } from "./elements/tabs.js";
-import { keepLanguage, language, startLanguage, t } from "./language/strings.js";
+import { keepLanguage, nextLanguage, startLanguage, t } from "./language/strings.js";
 import { wireActions } from "./orders/actions.js";
 import { wireDraw } from "./orders/draw.js";
 import { followControl, renderLease } from "./orders/lease.js";
@@ -30,6 +30,7 @@ import { records, renderRecordings, setRecordings } from "./reports/recordings.j
 
 const READ_MS = 1000;
 startLanguage();
+offerLanguage();
 const { link, video } = desk;
 const overlay = new Overlay(find("stage"), find("overlay"), find("controls"), seenText);
 const log = new CommandLog(find("log"));
@@ -108,6 +109,12 @@ function entitle() {
   document.title = instrument ? `${instrument} – ${t("product")}` : t("product");
 }
 
+function offerLanguage() {
+  const { name, title } = nextLanguage();
+  find("language").lang = name;
+  find("language").textContent = title;
+}
+
 function setState(next) {
   followControl(next);
   desk.state = next;
@@ -116,7 +123,8 @@ function setState(next) {
 }
 
 find("language").addEventListener("click", () => {
-  keepLanguage(language() === "en" ? "de" : "en");
+  keepLanguage(nextLanguage().name);
+  offerLanguage();
   entitle();
   overlay.relabel();
   showChoices();

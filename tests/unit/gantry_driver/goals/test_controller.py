@@ -25,6 +25,8 @@ from gantry_driver.core.job.goal_job import LOOKING, MOVING, Phase, Step
 from icu_common.core.configuration.config import ConfigError, from_mapping
 from icu_common.core.geometry.geometry import Transform
 from icu_common.core.goals.results import Felt, GoalResult, Outcome
+from icu_common.core.reasons.message import Message, joined
+from icu_common.core.reasons.state_text import because
 
 RUN_STOP = BASE_FROM_PANEL.apply([0.208, 0.127, 0.003])
 PRESS_PHASES = [Phase.APPROACH, Phase.LOOK, Phase.TOUCH, Phase.CONTACT, Phase.LIFT]
@@ -742,7 +744,7 @@ def test_lost_operator_and_a_driver_that_holds_by_itself() -> None:
     bench.run(0.9)
     bench._motion = None
     bench._say_driver("stopped: operator's heartbeat lost")
-    aborted(bench, bench.finals[-1], "lost the operator", 'then the driver is "stopped: operator\'s heartbeat lost"')
+    aborted(bench, bench.finals[-1], "lost the operator", "then the driver is 'stopped: operator's heartbeat lost'")
 
 
 @pytest.mark.parametrize("phase", [Phase.APPROACH, Phase.TOUCH])
@@ -1042,14 +1044,15 @@ def test_a_stylus_that_a_lost_driver_has_left_down_is_told_until_it_is_up(driver
 
 
 @pytest.mark.parametrize(
-    "told", ["the stylus was not lifted, it may still press", "the solenoid is without power, the stylus is up"]
+    "told", [Message("stylus.stylus_not_lifted_may_still"), Message("stylus.solenoid_without_power_stylus_up")]
 )
-def test_what_the_driver_has_told_of_a_stylus_left_down_is_not_told_twice(told: str) -> None:
+def test_what_the_driver_has_told_of_a_stylus_left_down_is_not_told_twice(told: Message) -> None:
     bench = Bench().start()
     bench.readings = np.array([0.1, 0.1, 0.02])
     bench.run(0.2)
-    bench._say_driver(f"alarm: ALARM:1; {told}")
-    assert bench.controller.state == f"alarm: ALARM:1; {told}"
+    state = because("alarm", joined(["ALARM:1", told]))
+    bench._say_driver(state)
+    assert bench.controller.state == state == f"alarm: ALARM:1; {told}"
 
 
 def test_a_stylus_whose_position_was_lost_is_reported_clear_when_images_show_it_off_the_panel() -> None:

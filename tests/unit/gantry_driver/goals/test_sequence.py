@@ -8,6 +8,7 @@ from dataclasses import replace
 import pytest
 
 from gantry_driver.core.goals.sequence import Report, SendCommand, SequenceConfig, SequenceRun, StopMachine
+from gantry_driver.core.job.effects import SCREEN_CHANGED
 from icu_common.core.goals.results import EffectMissing, GoalResult, Outcome
 from icu_common.core.goals.sequence import SequenceError, parse_file, parse_steps, unfit
 from icu_common.core.panel.panel_state import ControlSeen, PanelSeen
@@ -162,7 +163,7 @@ def test_every_step_waits_for_its_answer_and_its_checks() -> None:
     assert first[1] == SendCommand(text="press:AUTO_SET id=r.1")
     assert run.result(answer("r.1", Outcome.ACCEPTED), S) == []
     assert run.result(answer("other"), S) == []
-    assert run.result(answer("r.1", effect="screen changed"), 2 * S) == [SendCommand(text="click:CH1_SCALE:2.0 id=r.2")]
+    assert run.result(answer("r.1", effect=SCREEN_CHANGED), 2 * S) == [SendCommand(text="click:CH1_SCALE:2.0 id=r.2")]
     assert run.result(answer("r.2", effect="CH1_SCALE at -36.5 degrees"), 5 * S) == []
     assert run.panel(seen(4 * S, angle=-36.0), 5 * S) == [], "a picture from before the answer"
     assert run.panel(seen(6 * S, angle=-30.0), 6 * S) == []
@@ -305,9 +306,7 @@ def test_a_gesture_that_takes_long_is_followed_for_as_long_as_somebody_is_at_wor
             run.sign(second * S)
     for second in range(400, 800):  # one slow way
         assert run.tick(second * S, driver="moving") == []
-    assert run.result(answer("r.1", effect="screen changed"), 800 * S) == [
-        SendCommand(text="click:CH1_SCALE:2.0 id=r.2")
-    ]
+    assert run.result(answer("r.1", effect=SCREEN_CHANGED), 800 * S) == [SendCommand(text="click:CH1_SCALE:2.0 id=r.2")]
 
 
 def test_a_controller_that_hangs_in_a_step_is_given_up_and_the_machine_stopped() -> None:

@@ -19,6 +19,7 @@ from gantry_driver.core.states.machine_states import Note, Position, StateChange
 from gantry_driver.core.states.reasons import Reason
 from icu_common.adapters.direct_stop.line import send_stop
 from icu_common.core.reasons.codes import DriverCode
+from icu_common.core.reasons.message import decoded, encoded
 
 pytestmark = pytest.mark.slow
 
@@ -32,7 +33,7 @@ def test_a_node_gets_the_machine_s_state_and_its_answers(make: Callable[..., Rig
     rig.turn()
     messages = rig.received(node)
     (answer,) = (m for m in messages if "id" in m)
-    assert answer["id"] == 7 and answer["value"].startswith("the driver is disconnected")
+    assert answer["id"] == 7 and decoded(answer["value"]).startswith("the driver is disconnected")
 
 
 def test_a_second_node_is_refused_and_the_first_one_served(make: Callable[..., Rig]) -> None:
@@ -42,7 +43,7 @@ def test_a_second_node_is_refused_and_the_first_one_served(make: Callable[..., R
     rig.hello(first)
     second = rig.node()
     rig.turn()
-    assert rig.received(second) == [{"refused": IN_USE}, {"end": True}]
+    assert rig.received(second) == [{"refused": encoded(IN_USE)}, {"end": True}]
     assert {"end": True} not in rig.received(first)
 
 

@@ -24,6 +24,7 @@ from gantry_driver.core.grbl.trajectory_gcode import Waypoint
 from gantry_driver.core.guard.messages import FrameReader, config_values, frame, waypoint_values
 from icu_common.adapters.direct_stop.line import send_stop
 from icu_common.core.geometry.frames import JOINTS
+from icu_common.core.reasons.message import decoded
 
 pytestmark = pytest.mark.long
 
@@ -90,7 +91,7 @@ class Place:
 
     def take(self, data: bytes) -> None:
         for message in self.reader.feed(data):
-            self.states += [c["text"] for name, c in message.get("events", []) if name == "StateChanged"]
+            self.states += [decoded(c["text"]) for name, c in message.get("events", []) if name == "StateChanged"]
 
     def state(self, begin: str) -> None:
         self.until(lambda: self.states and self.states[-1].startswith(begin))

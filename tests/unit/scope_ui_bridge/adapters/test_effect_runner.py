@@ -65,7 +65,9 @@ def test_a_command_whose_record_cannot_be_written_does_not_go_out() -> None:
         async with page(rig, take=True) as client:
             await client.ask(**await chosen(rig, client))
             failed = await client.until(lambda m: m["type"] == "log" and m["entry"]["status"] == "failed")
-            assert "no space left" in failed["entry"]["reason"]
+            reason = failed["entry"]["reason"]
+            assert reason["code"] == "bridge.record_could_not_written"
+            assert reason["values"] == {"error": "no space left on device"}
             assert rig.graph.named("command") == []
             assert (await client.ask(type="stop"))["ok"], "a stop needs no disk"
         assert rig.graph.named("stop")

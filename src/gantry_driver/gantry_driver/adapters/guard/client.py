@@ -36,6 +36,7 @@ from gantry_driver.core.states.machine_states import Answered, Event, Note, Stat
 from gantry_driver.core.states.reasons import Why, code_of
 from icu_common.adapters.real_time import steady_s
 from icu_common.core.goals.results import GoalResult, Outcome
+from icu_common.core.reasons.message import Message, decoded
 
 BEAT_S = 0.02
 """Interval of the signs of life: a fifth of the default silence that stops the machine."""
@@ -48,8 +49,9 @@ START_S = 5.0
 """Maximum seconds from the start of a guard until it listens."""
 WAY_OUT_S = 8.0
 """Maximum seconds after ``hold_timeout_s`` for a closed guard to lift the stylus and end."""
-GUARD_ENDED = "the guard has ended"
-NO_ANSWER = "the guard does not answer"
+GUARD_ENDED = Message("guard.guard_ended")
+NO_ANSWER = Message("guard.guard_not_answer")
+_ABSENT = (FileNotFoundError, ConnectionRefusedError)
 
 
 class GuardLink:
@@ -147,7 +149,7 @@ class GuardLink:
             if refusal is not None:
                 raise FrameError(str(refusal))
         except FrameError as error:
-            text = f"{len(points)} points"
+            text = Message("guard.points", points=len(points))
             self._say([Answered(result=_result(goal_id, text, Outcome.REJECTED, str(error)))])
 
     def stop(self, reason: Why) -> None:
@@ -175,7 +177,7 @@ class GuardLink:
             within_s = self._config.hold_timeout_s + WAY_OUT_S
             self._thread.join(within_s)
             if self.alive:
-                text = f"closed {within_s:g} s after the stop: the machine's state is unknown, the stylus may be down"
+                text = Message("guard.closed_after_stop_machine_state", within_s=within_s)
                 self._say([Note(level="error", text=text)])
         self._drop()
         self._count(self._steps, 0, 0)
@@ -194,7 +196,7 @@ class GuardLink:
                 reason = self._serve()
                 retry_s = RETRY_S
             except (OSError, FrameError, KeyError, TypeError, ValueError) as error:
-                reason = "" if isinstance(error, (FileNotFoundError, ConnectionRefusedError)) else f"the guard: {error}"
+                reason = "" if isinstance(error, _ABSENT) else Message("guard.guard", error=error)
                 retry_s = min(2.0 * retry_s, LAST_RETRY_S) if reason else RETRY_S
             self._lost(reason)
             self._wait(retry_s)
@@ -258,7 +260,7 @@ class GuardLink:
             elif watch.look(steady_s(), sample_threads(guard) if watch.wants_sample else None) and not self._closing:
                 with contextlib.suppress(OSError):
                     os.kill(guard, signal.SIGKILL)
-                return "the guard hangs and is restarted"
+                return Message("guard.guard_hangs_restarted")
 
     def _on_message(self, message: dict[str, Any]) -> str | None:
         """Process a message; return the reason to end the connection, None to keep it."""
@@ -272,10 +274,10 @@ class GuardLink:
         elif "id" in message:
             with self._answered:
                 if message["id"] in self._asked:
-                    self._answers[message["id"]] = message["value"]
+                    self._answers[message["id"]] = decoded(message["value"])
                     self._answered.notify_all()
         elif "refused" in message:
-            return f"{self._config.port}: {message['refused']}"
+            return Message("text.more", first=self._config.port, second=decoded(message["refused"]))
         return "" if "closed" in message else None
 
     def _note_goal(self, events: list[Event]) -> None:
@@ -291,7 +293,8 @@ class GuardLink:
         steps = self._steps
         if goal := self._goal:
             self._goal = None
-            events.append(Answered(result=_result(goal.goal_id, goal.goal, Outcome.ABORTED, f"link lost: {reason}")))
+            text = Message("guard.link_lost", reason=reason)
+            events.append(Answered(result=_result(goal.goal_id, goal.goal, Outcome.ABORTED, text)))
         if reason and not self._closing:
             with self._lock:
                 before = self._machine

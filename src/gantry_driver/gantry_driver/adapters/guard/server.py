@@ -26,6 +26,7 @@ from icu_common.adapters.direct_stop.line import open_stop_socket, received_stop
 from icu_common.adapters.real_time import steady_s
 from icu_common.core.configuration.config import settings_of
 from icu_common.core.reasons.codes import DriverCode
+from icu_common.core.reasons.message import Message, decoded, encoded, quoted
 
 PULSE_S = 0.1
 """Interval of the guard's own signs of life."""
@@ -39,9 +40,9 @@ UNSENT_BYTES = 1024 * 1024
 """Maximum number of unsent bytes; a node that does not read is disconnected beyond it."""
 FLOOD_FRAMES, FLOOD_BYTES, FLOOD_S = 2000, 32 * 1024 * 1024, 0.5
 """Maximum numbers of frames and of bytes from a node, and the seconds in which they are counted."""
-IN_USE = "in use by another program, as while a driver runs"
-ENDED = "the driver's node has ended"
-FLOODS = "the driver's node sends too much"
+IN_USE = Message("guard.use_another_program_while_driver")
+ENDED = Message("guard.driver_node_ended")
+FLOODS = Message("guard.driver_node_sends_too_much")
 
 
 class Guard:
@@ -98,7 +99,7 @@ class Guard:
                     poller.register(fd, what)
                 self._turn(dict(poller.poll(1000.0 * LOOK_INTERVAL_S)))
         finally:
-            self._close("the guard is ending")
+            self._close(Message("guard.guard_ending"))
 
     def _descriptors(self) -> dict[int, int]:
         watched = {self._listener.fileno(): select.POLLIN, self._signals: select.POLLIN}
@@ -169,16 +170,17 @@ class Guard:
                 self._on_message(message)
         except Exception as error:
             # No message of a node may end the guard.
-            self._lose(f"the driver's node sent an unreadable message: {error!r}")
+            self._lose(Message("guard.driver_node_sent_unreadable_message", error=quoted(error)))
 
     def _on_message(self, message: dict[str, Any]) -> None:
         name = message["do"]
         if name == "beat":
             return
+        message |= {key: decoded(message[key]) for key in ("reason", "text", "distrust") if key in message}
         if name == "hello":
             self._hello(message)
         elif self._link is None:
-            raise FrameError(f"{name!r} before hello")
+            raise FrameError(Message("guard.before_hello", name=quoted(name)))
         elif name == "stop":
             self._link.stop(why_of(str(message["reason"]), str(message.get("code", ""))))
         elif name == "step":
@@ -194,7 +196,7 @@ class Guard:
             action = COMMANDS[name]
             value = self._link.call(lambda machine, now: action(machine, now, message))
             if "id" in message:
-                self._send(frame({"id": message["id"], "value": value}))
+                self._send(frame({"id": message["id"], "value": encoded(value)}))
 
     def _hello(self, message: dict[str, Any]) -> None:
         config = config_of(message["config"])
@@ -203,7 +205,7 @@ class Guard:
         self._bind_stops(message["stop_path"])
         link, machine = self._link, self._machine
         if link is not None and machine is not None and _fixed(config) != _fixed(machine.config):
-            self._close_link(link, "another configuration")
+            self._close_link(link, Message("guard.another_configuration"))
             link = machine = None
         if link is None or machine is None:
             enabled, active, left_down = message["enabled"], message["active"], bool(message["left_down"])
@@ -308,7 +310,7 @@ class Guard:
         if self._watch.look(now, threads) and not self._hung:
             self._hung = True
             self._clock.leave()
-            self._stop_if_restless(f"the driver's node has been silent for {self._watch.silent_s:.2f} s")
+            self._stop_if_restless(Message("guard.driver_node_silent", silent_s=self._watch.silent_s))
 
     # --- to the node, from any thread --------------------------------------------------------------------------------
 

@@ -10,6 +10,7 @@ from collections.abc import Mapping
 
 from gantry_driver.core.grbl.grbl_messages import Dialect
 from gantry_driver.core.grbl.settings_profile import MACHINE_POSITION, REPORT_MASK, WORK_OFFSET
+from icu_common.core.reasons.message import Message, quoted
 
 UNPLACED_REPORTS = 40
 """Reports without a machine position after which none is to be expected; GRBL sends its offset with every 30th."""
@@ -27,11 +28,15 @@ def position_mask(settings: Mapping[int, str], dialect: Dialect) -> dict[int, fl
 def no_position_text(settings: Mapping[int, str]) -> str:
     """Return why a homed board's position is not known, and what to set."""
     value = settings.get(REPORT_MASK, "?").partition(".")[0]
-    return (
-        f"the board's reports tell no machine position: ${REPORT_MASK} is {value}, set its bit 0 ({MACHINE_POSITION})"
+    return Message(
+        "board.board_reports_tell_no_machine", report_mask=REPORT_MASK, value=value, machine_position=MACHINE_POSITION
     )
 
 
 def with_quote(text: str, unread: bytes) -> str:
     """Return the text with the last report that could not be read, if there was one."""
-    return f"{text}: cannot read {unread[:QUOTED_BYTES].decode('ascii', 'replace')!r}" if unread else text
+    return (
+        Message("board.cannot_read", text=text, decode=quoted(unread[:QUOTED_BYTES].decode("ascii", "replace")))
+        if unread
+        else text
+    )

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from gantry_driver.core.states.machine_states import Note
+from icu_common.core.reasons.message import Message
 
 RESETS_APART_S = 5.0
 """Seconds without a reset that end a row; the next reset gets a line of its own."""
@@ -34,7 +35,7 @@ class ResetLog:
         self.first_at = self.last_at = now
         self.more, self.lost, self.in_a_row = 0, 0, True
         self.states.clear()
-        return [Note(level="error", text=f"{reason}; {lost} lines unanswered")]
+        return [Note(level="error", text=Message("board.lines_unanswered", reason=reason, lost=lost))]
 
     def repeats(self, state: str) -> bool:
         """Note a state that is reported; return whether the row has had it before."""
@@ -52,5 +53,5 @@ class ResetLog:
         if not self.lost:
             return []
         within_s = self.last_at - self.first_at
-        text = f"the board was reset by itself {self.more} more times within {within_s:.1f} s"
-        return [Note(level="error", text=f"{text}; {self.lost} lines unanswered")]
+        text = Message("board.board_reset_itself_more_times", more=self.more, within_s=within_s)
+        return [Note(level="error", text=Message("board.lines_unanswered", reason=text, lost=self.lost))]

@@ -6,6 +6,8 @@ import math
 from dataclasses import dataclass
 from enum import Enum
 
+from icu_common.core.reasons.message import Message
+
 SIGMAS = 3.0
 """Minimum size of a reported surprise, in standard deviations."""
 LEAST_M = 0.0003
@@ -36,12 +38,12 @@ class HeightFinding:
         """Return a text for people."""
         off_mm, positive = 1000.0 * abs(self.value_m), self.value_m > 0
         if self.code is HeightFindingCode.STYLUS_OFFSET and positive:
-            return f"the stylus is {off_mm:.1f} mm higher than its readings say"
+            return Message("contact.stylus_higher_readings_say", off_mm=off_mm)
         if self.code is HeightFindingCode.STYLUS_OFFSET:
-            return f"the stylus is {off_mm:.1f} mm lower than its readings say"
+            return Message("contact.stylus_lower_readings_say", off_mm=off_mm)
         if positive:
-            return f"the panel is {off_mm:.1f} mm lower than measured"
-        return f"the panel is {off_mm:.1f} mm higher than measured"
+            return Message("contact.panel_lower_measured", off_mm=off_mm)
+        return Message("contact.panel_higher_measured", off_mm=off_mm)
 
     def details(self) -> tuple[tuple[str, str], ...]:
         """Return the values as pairs for ``GoalResult.details``."""

@@ -11,6 +11,7 @@ from enum import Enum
 from gantry_driver.core.configuration.machine_config import DriverConfig
 from gantry_driver.core.envelope.plane import PanelPlane
 from icu_common.core.goals.intent import Intent
+from icu_common.core.reasons.message import Message
 
 Reading = tuple[float, float, float]
 
@@ -42,12 +43,11 @@ class EnvelopeFault(str, Enum):
         return self.value
 
 
-_TEXTS = {
-    EnvelopeFault.NO_PANEL: "the panel's plane is not known: the stylus would extend {} mm (limit {} mm)",
-    EnvelopeFault.OLD_PANEL: "the panel's plane is {} s old (limit {} s)",
-    EnvelopeFault.TOO_DEEP: "the path goes {} mm beyond the panel (limit {} mm)",
-    EnvelopeFault.TOO_LOW: "the path moves sideways {} mm above the panel (limit {} mm)",
-    EnvelopeFault.SIDEWAYS: "the path moves {} mm sideways with the stylus extended (limit {} mm)",
+_CODES = {
+    EnvelopeFault.NO_PANEL: "envelope.no_panel",
+    EnvelopeFault.TOO_DEEP: "envelope.too_deep",
+    EnvelopeFault.TOO_LOW: "envelope.too_low",
+    EnvelopeFault.SIDEWAYS: "envelope.sideways",
 }
 
 
@@ -62,8 +62,9 @@ class Breach:
 
     def text(self) -> str:
         """Return a text for people."""
-        scale = 1.0 if self.code is EnvelopeFault.OLD_PANEL else 1000.0
-        return _TEXTS[self.code].format(f"{scale * self.measured:.1f}", f"{scale * self.limit:.1f}")
+        if self.code is EnvelopeFault.OLD_PANEL:
+            return Message("envelope.old_panel", age_s=self.measured, limit_s=self.limit)
+        return Message(_CODES[self.code], measured_mm=1e3 * self.measured, limit_mm=1e3 * self.limit)
 
     def details(self) -> tuple[tuple[str, str], ...]:
         """Return the values as pairs for ``GoalResult.details``."""

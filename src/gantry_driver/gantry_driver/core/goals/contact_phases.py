@@ -18,6 +18,7 @@ from gantry_driver.core.job.goal_job import Fault, Job, Phase
 from gantry_driver.core.motion import motion_plan
 from icu_common.core.geometry.geometry import Array
 from icu_common.core.goals.results import Felt, Outcome
+from icu_common.core.reasons.message import Message, joined
 
 MAX_TIPS = 50
 PLANE_SIGMA_MAX_M = 0.0005
@@ -50,16 +51,16 @@ class ContactPhases(GoalRun):
         if abs(self.heights.stylus.value_m) <= contact.height.max_offset_m:
             return None
         off_mm, limit_mm = 1000.0 * self.heights.stylus.value_m, 1000.0 * contact.height.max_offset_m
-        cause = f"the stylus is {off_mm:+.1f} mm off the height that its readings say (limit {limit_mm:g} mm)"
+        cause = Message("contact.stylus_off_height_readings_say", off_mm=off_mm, limit_mm=limit_mm)
         self.heights.forget(correction_m)  # a rejection must not make the next one certain
-        return Fault(cause=f"{cause}: calibrate again", code=ContactCode.STYLUS_OFFSET.value)
+        return Fault(cause=Message("contact.calibrate_again", cause=cause), code=ContactCode.STYLUS_OFFSET.value)
 
     # Down
 
     def _touch_down(self, job: Job) -> None:
         assert job.touch is not None
         if not job.touched_ns and (delays := self._view_delays()):
-            cause = f"nothing is touched with late images: {delays[0].text()}"
+            cause = Message("contact.nothing_touched_late_images", delays=delays[0].text())
             self._break_off(job, Fault(cause=cause, delay=delays[0]))
             return
         if not job.touched_ns and (finding := touch_finding(job, self._world, self.config)) is not None:
@@ -211,24 +212,21 @@ class ContactPhases(GoalRun):
             job.lag, effect=effect, own_lamp=own_lamp, switch=self.switch.closed, config=self.config.contact
         )
         if job.felt.contact:
-            self._finish(job, Outcome.REACHED, "; ".join(finding.text() for finding in job.findings))
+            self._finish(job, Outcome.REACHED, joined(finding.text() for finding in job.findings))
             return
-        reason = f"{self._unfelt_text(job)}; the stylus is up"
+        reason = Message("stylus.is_up", cause=self._unfelt_text(job))
         self._finish(job, Outcome.ABORTED, reason, code=_code_of(job.felt))
 
     def _unfelt_text(self, job: Job) -> str:
-        cause = "it is not known whether anything was touched: the ball was not measured in contact"
+        cause = Message("contact.not_known_whether_anything_touched")
         if job.lag is not None:
             beyond_mm, lag_mm = 1000.0 * (job.contact_m - job.surface_m), 1000.0 * job.lag.lag_m
-            cause = (
-                f"it is not known whether anything was touched: {beyond_mm:.1f} mm beyond the surface the ball was "
-                f"held back by {lag_mm:.2f} mm"
-            )
+            cause = Message("contact.not_known_whether_anything_touched_2", beyond_mm=beyond_mm, lag_mm=lag_mm)
             if job.felt is Felt.NOT_TOUCHED:
-                cause = f"nothing was touched down to {beyond_mm:.1f} mm beyond the surface"
+                cause = Message("contact.nothing_touched_down_beyond_surface", beyond_mm=beyond_mm)
                 if beyond_mm < 0.0:
-                    cause = f"nothing was touched: what the driver allows ends {-beyond_mm:.1f} mm above the surface"
-        return "; ".join((cause, *(finding.text() for finding in job.findings)))
+                    cause = Message("contact.nothing_touched_driver_allows_ends", beyond_mm=-beyond_mm)
+        return joined((cause, *(finding.text() for finding in job.findings)))
 
 
 def _code_of(felt: Felt) -> str:

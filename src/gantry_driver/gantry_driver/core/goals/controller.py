@@ -36,7 +36,8 @@ from icu_common.core.goals.results import GoalResult, Outcome
 from icu_common.core.panel.gesture import GestureError, parse_gesture
 from icu_common.core.processes.delays import Delay, ResultCode, delay_of
 from icu_common.core.reasons.codes import ControllerCode
-from icu_common.core.reasons.state_text import state_name
+from icu_common.core.reasons.message import Message, quoted
+from icu_common.core.reasons.state_text import because, state_name
 
 ASK_AGAIN_S = 0.5
 CLEAR_AGAIN_S = 1.0
@@ -66,7 +67,7 @@ class Controller(GoalPhases):
     def unrest(self) -> str:
         """Return why safety settings must not change now; empty at rest with the stylus up."""
         if self._job is not None:
-            return f"busy with {self._job.text!r}"
+            return Message("controller.busy", job=quoted(self._job.text))
         return self._world.unrest()
 
     def handle(self, event: msg.Event, now_ns: int, wall_ns: int | None = None) -> list[msg.Action]:
@@ -91,7 +92,10 @@ class Controller(GoalPhases):
             self._face.forget()
             self._stamp_ns = self._asked_ns = self._plane_ns = 0  # the driver rejects stamps of the old time
             if self._job is not None:
-                self._break_off(self._job, Fault(cause=f"the clock jumped back by {jumped_back_s:.1f} s", stop=True))
+                self._break_off(
+                    self._job,
+                    Fault(cause=Message("controller.clock_jumped_back", jumped_back_s=jumped_back_s), stop=True),
+                )
         self._take(event)
         self._world.plane_due = math.isfinite(self._sigma_m) and not self._plane_ns
         if self._job is not None:
@@ -117,8 +121,8 @@ class Controller(GoalPhases):
         self._now_ns, self._closed = now_ns, True
         self._actions = [msg.CallStop(reason=cause), *answers]
         if self._job is not None:
-            self._abort(self._job, f"{cause}; the machine was told to stop", stopped=True)
-        self._set_state(f"stopped: {cause}", ControllerCode.FAILED)
+            self._abort(self._job, Message("controller.machine_told_stop", cause=cause), stopped=True)
+        self._set_state(because("stopped", cause), ControllerCode.FAILED)
         return self._actions
 
     def close(self, now_ns: int) -> list[msg.Action]:
@@ -128,8 +132,11 @@ class Controller(GoalPhases):
         self._now_ns = self._world.now_ns = now_ns
         self._actions = []
         if self._job is not None:
-            self._break_off(self._job, Fault(cause="the controller is shutting down", stop=True))
-        self._set_state("waiting: the controller has ended", ControllerCode.ENDED)
+            self._break_off(self._job, Fault(cause=Message("controller.controller_shutting_down"), stop=True))
+        self._set_state(
+            because("waiting", Message("controller.controller_ended")),
+            ControllerCode.ENDED,
+        )
         self._closed = True
         return self._actions
 
@@ -271,7 +278,11 @@ class Controller(GoalPhases):
             delay = delay_of(result)
             if delay is not None and self._send_again(self._job, delay):
                 return
-            cause = f"the driver {result.outcome.value} the motion: {result.reason or 'no reason given'}"
+            cause = Message(
+                "controller.driver_motion",
+                outcome=result.outcome.value,
+                reason=result.reason or Message("controller.no_reason_given"),
+            )
             # A driver that has aborted a motion lifts the stylus itself; one that has rejected it leaves it as it is.
             stop = result.outcome is Outcome.REJECTED and self._extended
             if delay is not None:  # STALE would mean that the goal itself is too old
@@ -301,8 +312,12 @@ class Controller(GoalPhases):
             return
         if (held_s := self._world.held_up_s) > CLICK_MAX_AGE_S:
             # A command has no stamp: this one may have waited during the whole hold-up.
-            delay = Delay(code=ResultCode.STALE, what="command", measured_s=held_s, limit_s=CLICK_MAX_AGE_S)
-            reason = f"stale: the controller was held up for {held_s:.1f} s, {CLICK_MAX_AGE_S:g} s are allowed"
+            delay = Delay(
+                code=ResultCode.STALE, what=Message("goal.command"), measured_s=held_s, limit_s=CLICK_MAX_AGE_S
+            )
+            reason = Message(
+                "controller.stale_controller_held_up_allowed", held_s=held_s, click_max_age_s=CLICK_MAX_AGE_S
+            )
             self._reject(gesture.id or text, text, reason, delay)
             return
         goal_id = gesture.id or text
@@ -312,12 +327,12 @@ class Controller(GoalPhases):
     def _accept_or_reject(self, goal_id: str, text: str, make_job: Callable[[], Job]) -> None:
         try:
             if self._job is not None:
-                raise Refused(f"busy with {self._job.text!r}")
+                raise Refused(Message("controller.busy", job=quoted(self._job.text)))
             job = make_job()
             if not job.unplanned:
                 self._way_to(job)
         except OutOfReach as error:
-            self._reject(goal_id, text, f"{text}: {error}")
+            self._reject(goal_id, text, Message("text.more", first=text, second=error))
             return
         except Refused as error:
             self._reject(goal_id, text, str(error), error.delay)

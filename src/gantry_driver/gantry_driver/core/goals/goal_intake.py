@@ -26,15 +26,16 @@ from icu_common.core.geometry.frames import BASE, CAMERA_LEFT
 from icu_common.core.geometry.geometry import Array
 from icu_common.core.panel.gesture import TURNING, Gesture, Point
 from icu_common.core.processes.delays import Delay, ResultCode
+from icu_common.core.reasons.message import Message, quoted
 
 
 def text_of(goal: PointGoal) -> str:
     """Return the goal as text for people."""
     x, y, z = goal.xyz
     if goal.frame == BASE:
-        return f"move to ({x:g}, {y:g}, {z:g}) m in {BASE}"
+        return Message("goal.move", x=x, y=y, z=z, base=BASE)
     unit = "px" if goal.frame == CAMERA_LEFT else "m"
-    return f"press ({x:g}, {y:g}) {unit} in {goal.frame}"
+    return Message("goal.press", x=x, y=y, unit=unit, frame=goal.frame)
 
 
 def point_job(goal: PointGoal, world: World, config: ControllerConfig) -> Job:
@@ -46,31 +47,31 @@ def point_job(goal: PointGoal, world: World, config: ControllerConfig) -> Job:
         With the value and the limit.
     """
     if not np.isfinite(goal.xyz).all():
-        raise Refused(f"point ({', '.join(f'{v:g}' for v in goal.xyz)}) is not finite")
+        raise Refused(Message("goal.point_not_finite", xyz=", ".join(f"{v:g}" for v in goal.xyz)))
     if goal.frame not in targets.FRAMES:
-        raise Refused(f"frame {goal.frame!r} is none of {', '.join(targets.FRAMES)}")
+        raise Refused(Message("goal.frame_none", frame=quoted(goal.frame), frames=", ".join(targets.FRAMES)))
     if goal.stamp_ns != 0:
         age_s, limit_s = (world.now_ns - goal.stamp_ns) / NANO, goal_limit_s(world.held_up_s, config)
         if age_s < -config.goal_max_age_s:
-            reason = f"stale: the stamp is {age_s:.3f} s old, {config.goal_max_age_s:g} s are allowed"
-            raise Refused(f"{reason}; the stamp is of the future: do the clocks agree?")
+            reason = Message("goal.stale_stamp_old_allowed", age_s=age_s, goal_max_age_s=config.goal_max_age_s)
+            raise Refused(Message("goal.stamp_future_clocks_agree", reason=reason))
         if age_s > limit_s:
-            delay = Delay(code=ResultCode.STALE, what="goal", measured_s=age_s, limit_s=limit_s)
-            raise Refused(f"stale: the stamp is {age_s:.3f} s old, {limit_s:g} s are allowed", delay)
+            delay = Delay(code=ResultCode.STALE, what=Message("goal.goal"), measured_s=age_s, limit_s=limit_s)
+            raise Refused(Message("goal.stale_stamp_old_allowed", age_s=age_s, goal_max_age_s=limit_s), delay)
     if goal.frame == BASE:
         return _move_job(goal, world, config)
     x, y, z = (float(v) for v in goal.xyz)
     if z != 0.0:
-        raise Refused(f"z = {z:g} in {goal.frame} must be 0: the surface is found from the panel")
+        raise Refused(Message("goal.z_must_0_surface_found", z=z, frame=goal.frame))
     gesture = Gesture(kind="press", target=Point(x=x, y=y, frame=goal.frame))
     return gesture_job(gesture, text_of(goal), str(goal.stamp_ns), world, config)
 
 
 def _move_job(goal: PointGoal, world: World, config: ControllerConfig) -> Job:
     if goal.xyz[2] > 0:
-        raise Refused(f"z = {goal.xyz[2]:g} m is above 0, where the stylus is retracted")
+        raise Refused(Message("goal.z_above_0_where_stylus", xyz_m=goal.xyz[2]))
     if goal.xyz[2] < 0 and config.motion.stylus_two_positions:
-        raise Refused(f"z = {goal.xyz[2]:g} m: this stylus can only be up, 0, or touch")
+        raise Refused(Message("goal.z_stylus_can_only_up", xyz_m=goal.xyz[2]))
     for obstacle in obstacles(world, config):
         if obstacle.every_goal:
             raise Refused(obstacle.reason, obstacle.delay)
@@ -99,9 +100,7 @@ def _check_clear(goal: Array, world: World, config: ControllerConfig) -> None:
         return
     lowest = targets.highest_near(goal[:2], scene, touch.side_needed_m()) + touch.ball_radius_m
     if goal[2] < lowest:
-        raise Refused(
-            f"z = {goal[2]:.4f} m would touch the panel there, {lowest:.4f} m is the lowest; use press to touch"
-        )
+        raise Refused(Message("goal.z_touch_panel_lowest_use", goal_m=goal[2], lowest_m=lowest))
 
 
 def gesture_job(gesture: Gesture, text: str, goal_id: str, world: World, config: ControllerConfig) -> Job:
@@ -113,7 +112,7 @@ def gesture_job(gesture: Gesture, text: str, goal_id: str, world: World, config:
         With the value and the limit.
     """
     if isinstance(gesture.target, Point) and gesture.target.frame not in targets.FRAMES:
-        raise Refused(f"frame {gesture.target.frame!r} is none of {', '.join(targets.FRAMES)}")
+        raise Refused(Message("goal.frame_none", frame=quoted(gesture.target.frame), frames=", ".join(targets.FRAMES)))
     for obstacle in sorted(obstacles(world, config), key=lambda o: o.passing):
         if not obstacle.passing or _in_picture(gesture):
             raise Refused(obstacle.reason, obstacle.delay)
@@ -127,15 +126,15 @@ def gesture_job(gesture: Gesture, text: str, goal_id: str, world: World, config:
             _check_marker_not_old(gesture.target, gesture.kind, world, config)
         knob = knob_of(gesture, gesture.target, None if seen is None else seen.control(gesture.target))
     elif gesture.kind in ("click", "set"):
-        raise Refused(f"{gesture.kind} needs a knob's name, found {gesture.text()!r}")
+        raise Refused(Message("goal.needs_knob_name_found", kind=gesture.kind, gesture=quoted(gesture.text())))
     touch = find_touch(gesture, knob, scene, config)
     if (finding := layout_finding(touch.control, world.deviations)) is not None:
         raise Refused(finding.text(), finding)
     found = None if seen is None else seen.control(touch.control)
     if found is not None and found.hidden_by == "edge" and not config.camera_on_carriage:
-        raise Refused(f"{touch.control} is not in the picture")
+        raise Refused(Message("goal.not_picture", control=touch.control))
     if config.require_effect and seen is None and knob is None and touch.control:
-        raise Refused(f"nothing is seen of the panel's state: the effect of a {gesture.kind} must be (require_effect)")
+        raise Refused(Message("goal.nothing_seen_panel_state_effect", kind=gesture.kind))
     hold_s = {"hold": gesture.argument, "press": config.press_s, "long": config.long_press_s}
     return Job(
         goal_id=goal_id,
@@ -163,9 +162,8 @@ def _check_marker_not_old(name: str, kind: str, world: World, config: Controller
     if world.seen is not None and last is not None and not (kind == "turn" and math.isnan(last.angle_deg)):
         age_s, limit_s = world.age_s(world.seen.stamp_ns), config.state_max_age_s
         raise Refused(
-            f"nothing is seen of {name} {since(age_s)}, "
-            f"at most {limit_s:g} s are allowed: try again, or is the computer too busy?",
-            Delay(code=ResultCode.SLOW, what=f"marker of {name}", measured_s=age_s, limit_s=limit_s),
+            Message("goal.nothing_seen_most_allowed_try", name=name, since=since(age_s), limit_s=limit_s),
+            Delay(code=ResultCode.SLOW, what=Message("goal.marker", name=name), measured_s=age_s, limit_s=limit_s),
         )
 
 

@@ -21,6 +21,7 @@ from gantry_driver.core.motion import motion_plan
 from gantry_driver.core.motion.motion_plan import OutOfReach
 from gantry_driver.core.motion.scene import Refused
 from icu_common.core.goals.results import Felt, Outcome
+from icu_common.core.reasons.message import Message
 
 
 class GoalPhases(ContactPhases):
@@ -80,7 +81,7 @@ class GoalPhases(ContactPhases):
                 return Step.ARRIVED
         elif self._now_ns > self._deadline_ns:
             wait_s = (self._now_ns - self._phase_ns) / NANO
-            cause = f"no result of the motion from the driver for {wait_s:.1f} s"
+            cause = Message("goal.no_result_motion_driver", wait_s=wait_s)
             self._break_off(job, Fault(cause=cause, stop=True))
         return None
 
@@ -116,7 +117,7 @@ class GoalPhases(ContactPhases):
             self._way_to(job)
         except (Refused, OutOfReach) as error:
             delay = error.delay if isinstance(error, Refused) else None
-            self._finish(waiting, Outcome.ABORTED, f"{error}; nothing was moved", delay)
+            self._finish(waiting, Outcome.ABORTED, Message("goal.nothing_moved", error=error), delay)
             return
         job.started_ns = waiting.started_ns
         self._job = job
@@ -125,7 +126,7 @@ class GoalPhases(ContactPhases):
     def _begin(self, job: Job) -> None:
         knob = job.knob
         if (fault := self._rests_misplaced(job)) is not None:
-            reason = f"{fault.cause}; the stylus may be bent, or another one; nothing was moved"
+            reason = Message("goal.stylus_may_bent_another_one", cause=fault.cause)
             self._finish(job, Outcome.ABORTED, reason)
         elif knob is not None and self._is_to_be_read(job, knob):
             self._move_aside(job, knob.name)
@@ -146,7 +147,7 @@ class GoalPhases(ContactPhases):
                 job.knob = knob_of(job.gesture, name, self._world.seen.control(name))
                 job.touch = goal_intake.find_touch(job.gesture, job.knob, job.scene, self.config)
             except (Refused, OutOfReach) as error:
-                self._finish(job, Outcome.ABORTED, f"{error}; nothing was moved")
+                self._finish(job, Outcome.ABORTED, Message("goal.nothing_moved", error=error))
                 return
         self._begin(job)
 
@@ -208,8 +209,10 @@ class GoalPhases(ContactPhases):
 
     def _finish_hidden(self, job: Job) -> None:
         assert job.touch is not None
-        cause = f"something (a hand?) still hides {job.touch.control} after {self.config.hidden_wait_s:g} s"
-        self._finish(job, Outcome.ABORTED, f"{cause}; nothing was moved")
+        cause = Message(
+            "goal.something_hand_still_hides_after", control=job.touch.control, hidden_wait_s=self.config.hidden_wait_s
+        )
+        self._finish(job, Outcome.ABORTED, Message("goal.nothing_moved", error=cause))
 
     # Look, judge, correct, touch
 
@@ -244,7 +247,8 @@ class GoalPhases(ContactPhases):
             return
         assert job.touch is not None and job.scene is not None
         if self._late is not None:  # images from next to the target would be as late
-            cause = f"{self._tip_look.unseen_text(self.config.tip_spread_m)}: {self._late.text()}"
+            unseen = self._tip_look.unseen_text(self.config.tip_spread_m)
+            cause = Message("text.more", first=unseen, second=self._late.text())
             self._break_off(job, Fault(cause=cause, delay=self._late))
             return
         job.beside = places_beside(job.touch, job.scene, job.aim, self.config) if job.beside is None else job.beside[1:]
@@ -270,12 +274,12 @@ class GoalPhases(ContactPhases):
         gone_along = self.config.camera_on_carriage and len(job.touch.arc) > 0
         if not gone_along and (fault := self._measure_contact(job)) is not None:
             code = self._note_free(job)
-            cause = f"{self._unfelt_text(job)}; {fault.cause}" if code else fault.cause
-            self._finish(job, Outcome.ABORTED, f"{cause}; the stylus is up", code=code)
+            cause = Message("text.and_also", first=self._unfelt_text(job), second=fault.cause) if code else fault.cause
+            self._finish(job, Outcome.ABORTED, Message("stylus.is_up", cause=cause), code=code)
             return
         if not gone_along and (finding := contact_finding(job, self._world, self.config)) is not None:
             job.felt = Felt.UNKNOWN
-            reason = f"touched, but not confirmed: {finding.text()}; the stylus is up"
+            reason = Message("goal.touched_but_not_confirmed_stylus", finding=finding.text())
             self._finish(job, Outcome.ABORTED, reason, finding, code=finding.code.value)
             return
         if not gone_along:
@@ -321,9 +325,9 @@ class GoalPhases(ContactPhases):
             self._finish_touch(job)
         else:
             wait_s, unread = self.config.effect_wait_s, self._unread(job)
-            reason = f"touched, but no effect was seen within {wait_s:g} s; the stylus is up"
+            reason = Message("goal.touched_but_no_effect_seen", wait_s=wait_s)
             if unread is not None:
-                reason = f"touched, but its effect was {unread.text}; the stylus is up"
+                reason = Message("goal.touched_but_effect_stylus_up", unread=unread.text)
             self._finish(job, Outcome.ABORTED, reason)
 
     def _unread(self, job: Job) -> Effect | None:
@@ -331,7 +335,7 @@ class GoalPhases(ContactPhases):
         if self._world.seen is not None and self._world.seen.stamp_ns > job.left_ns:
             return None
         for_s = (self._now_ns - job.left_ns) / NANO
-        text = f"not seen: nothing was read of the panel for {for_s:.1f} s since the touch"
+        text = Message("goal.not_seen_nothing_read_panel", for_s=for_s)
         return Effect(kind=EffectKind.UNREAD, text=text)
 
     def _hides_lamp(self, job: Job) -> bool:
@@ -348,21 +352,24 @@ class GoalPhases(ContactPhases):
             return
         if math.isnan(angle):
             wait_s = self.config.read_timeout_s
-            cause = f"the marker of {knob.name} was not seen within {wait_s:g} s"
-            self._finish(job, Outcome.ABORTED, f"{cause}; the stylus is up")
+            cause = Message("goal.marker_not_seen_within", knob=knob.name, wait_s=wait_s)
+            self._finish(job, Outcome.ABORTED, Message("stylus.is_up", cause=cause))
             return
         knob.look(angle)
         allowed = self.config.set_tolerance_deg
         if abs(knob.off_deg) <= allowed and (knob.turns or job.kind == "set"):
-            job.effect = Effect(kind=EffectKind.KNOB, text=f"{knob.name} at {angle:+.1f} degrees")
+            job.effect = Effect(kind=EffectKind.KNOB, text=Message("goal.degrees", knob=knob.name, angle_deg=angle))
             if job.touched_ns:
                 self._finish_touch(job)
             else:
                 self._finish(job, Outcome.REACHED)
         elif knob.turns >= self.config.set_tries:
-            reason = (
-                f"{knob.name} stands {abs(knob.off_deg):.1f} degrees off after {knob.turns} turns, "
-                f"{allowed:g} are allowed; the stylus is up"
+            reason = Message(
+                "goal.stands_degrees_off_after_turns",
+                knob=knob.name,
+                off_deg=abs(knob.off_deg),
+                turns=knob.turns,
+                allowed=allowed,
             )
             self._finish(job, Outcome.ABORTED, reason)
         else:
@@ -375,6 +382,6 @@ class GoalPhases(ContactPhases):
         try:
             job.touch = goal_intake.find_touch(job.gesture, job.knob, job.scene, self.config)
         except (Refused, OutOfReach) as error:
-            self._finish(job, Outcome.ABORTED, f"the next turn: {error}; the stylus is up")
+            self._finish(job, Outcome.ABORTED, Message("goal.next_turn_stylus_up", error=error))
             return
         self._try(job, Phase.APPROACH, lambda: self._way_to(job))

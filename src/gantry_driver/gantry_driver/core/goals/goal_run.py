@@ -38,6 +38,7 @@ from icu_common.core.goals.intent import Intent
 from icu_common.core.goals.results import Outcome
 from icu_common.core.processes.delays import Delay, ResultCode
 from icu_common.core.reasons.codes import STOP_ASKED, ControllerCode
+from icu_common.core.reasons.message import Message
 
 UNWATCHED_S = 1.2
 """Maximum age of the newest image that the stylus tracker has evaluated while the stylus touches. A touch without new
@@ -119,7 +120,7 @@ class GoalRun:
         if self._path is None or job.touched_ns or self._sent >= self.config.slow_tries:
             return False
         self._sent += 1
-        then = f"it is sent again, try {self._sent} of {self.config.slow_tries}"
+        then = Message("goal.sent_again_try", sent=self._sent, slow_tries=self.config.slow_tries)
         self._actions.append(msg.ReportDelay(delay=delay, then=then))
         self._enter(self.phase, 1.5 * self._path.duration_s + self.config.motion_timeout_s)
         self._stamp_ns = max(self._now_ns, self._stamp_ns + 1)
@@ -135,7 +136,7 @@ class GoalRun:
         try:
             path = plan()
         except OutOfReach as error:
-            self._break_off(job, Fault(cause=f"corrected aim: {error}"))
+            self._break_off(job, Fault(cause=Message("goal.corrected_aim", error=error)))
             return
         self._go(phase, path)
 
@@ -169,13 +170,13 @@ class GoalRun:
             return True
         self._deadline_ns += nanoseconds(limit_s - self._limit_s)
         self._limit_s = limit_s
-        self._actions.append(msg.ReportDelay(delay=self._late, then=f"waiting up to {limit_s:g} s"))
+        self._actions.append(msg.ReportDelay(delay=self._late, then=Message("goal.waiting_up", limit_s=limit_s)))
         return False
 
     def _image_delay(self, job: Job) -> Delay | None:
         """Return the delay of the images that the current phase waits for; None if they have been seen."""
         newest_ns, needed_ns = self._world.tracked_ns, 0
-        what = "image that the stylus tracker has evaluated"
+        what = Message("goal.image_stylus_tracker_evaluated")
         if self.phase is Phase.LOOK:
             if (delays := self._view_delays()) and self._seen_in_base(job) is not None:
                 return delays[0]
@@ -187,7 +188,7 @@ class GoalRun:
             return delay
         elif self.phase in WAITING and not job.touched_ns and self._world.seen is not None:
             newest_ns, needed_ns = self._world.seen.stamp_ns, self._phase_ns + nanoseconds(self.config.settle_s)
-            what = "image of the controls that the recognition has evaluated"
+            what = Message("goal.image_controls_recognition_evaluated")
         if newest_ns > needed_ns or not needed_ns or not newest_ns:
             return None
         age_s = self._world.age_s(newest_ns)
@@ -202,7 +203,7 @@ class GoalRun:
         waits = not job.touched_ns and self.phase in (*WAITING, *FREE_VIEW)
         delays = {delay.what: delay for delay in (self._world.delays(self.config) if waits else ())}
         for what in delays.keys() - self._reported:
-            self._actions.append(msg.ReportDelay(delay=delays[what], then="the goal waits for it"))
+            self._actions.append(msg.ReportDelay(delay=delays[what], then=Message("goal.goal_waits")))
         self._reported = set(delays)
 
     def _standing(self) -> bool:
@@ -216,9 +217,10 @@ class GoalRun:
         off = float(np.linalg.norm(self._world.here - self._end))
         if off <= self.config.arrival_tolerance_m:
             return True
-        cause = (
-            f"the driver reports the end of the motion {1000 * off:.2f} mm beside it, "
-            f"{1000 * self.config.arrival_tolerance_m:g} mm are allowed"
+        cause = Message(
+            "goal.driver_reports_end_motion_beside",
+            off_mm=1000 * off,
+            arrival_tolerance_mm=1000 * self.config.arrival_tolerance_m,
         )
         self._break_off(job, Fault(cause=cause, lift=False, stop=self._extended))
         return False
@@ -266,20 +268,20 @@ class GoalRun:
         longer = self._now_ns > job.down_ns + nanoseconds(self.config.press_max_s + LONGER_S)
         if not longer or not UNWATCHED_S < silent_s < math.inf:
             return None
-        cause = f"touched, but not measured: no image that the stylus tracker has evaluated {since(silent_s)}"
+        cause = Message("goal.touched_but_not_measured_no", since=since(silent_s))
         return Fault(cause=cause, tells_touch=True)
 
     def _break_off(self, job: Job, fault: Fault) -> None:
         """End the goal early: hold the machine, or let a motion in the air end and then retract, or only report."""
-        cause = fault.cause if job.fault is None else f"{job.fault.cause}; then {fault.cause}"
+        cause = fault.cause if job.fault is None else Message("goal.then", cause=job.fault.cause, more=fault.cause)
         delay = fault.delay if job.fault is None else None
         tells_touch = (job.fault or fault).tells_touch
         if fault.stop:
             self._actions.append(msg.CallStop(reason=cause))
-            reason = f"{cause}; the machine was told to stop"
+            reason = Message("controller.machine_told_stop", cause=cause)
             self._abort(job, reason, delay, stopped=True, tells_touch=tells_touch)
         elif not fault.lift or job.fault is not None:
-            self._abort(job, f"{cause}; no more motion was ordered", delay, tells_touch=tells_touch)
+            self._abort(job, Message("goal.no_more_motion_ordered", cause=cause), delay, tells_touch=tells_touch)
         else:
             job.fault = fault
             if self.phase not in MOVING:
@@ -291,7 +293,7 @@ class GoalRun:
     def _finish_broken_off(self, job: Job) -> None:
         fault = job.fault
         assert fault is not None
-        reason = f"{fault.cause}; the stylus is up"
+        reason = Message("stylus.is_up", cause=fault.cause)
         self._abort(job, reason, fault.delay, code=fault.code, tells_touch=fault.tells_touch)
 
     def _abort(
@@ -309,7 +311,7 @@ class GoalRun:
         ``tells_touch`` is whether the reason says so itself.
         """
         if job.touched_ns and not tells_touch:
-            reason = f"the stylus had gone down: look at the panel before trying again; {reason}"
+            reason = Message("goal.stylus_gone_down_look_panel", reason=reason)
         self._finish(job, Outcome.ABORTED, reason, delay, stopped=stopped, code=code)
 
     def _finish(
@@ -323,8 +325,8 @@ class GoalRun:
         code: str = "",
     ) -> None:
         if outcome is Outcome.REACHED and job.measured_beside:
-            beside = "the tip was measured beside the target, as it could not be seen before it"
-            reason = f"{beside}; {reason}" if reason else beside
+            beside = Message("goal.tip_measured_beside_target_could")
+            reason = Message("text.and_also", first=beside, second=reason) if reason else beside
         self.phase = Phase.IDLE
         self._job = None
         self._reported = set()

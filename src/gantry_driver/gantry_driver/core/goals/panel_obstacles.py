@@ -9,6 +9,8 @@ from gantry_driver.core.job.controller_config import ControllerConfig
 from gantry_driver.core.job.goal_job import Obstacle
 from gantry_driver.core.job.patience import patient_limit_s, since
 from icu_common.core.reasons.codes import ControllerCode
+from icu_common.core.reasons.message import Message
+from icu_common.core.reasons.state_text import because
 
 if TYPE_CHECKING:
     from gantry_driver.core.goals.world import World
@@ -21,9 +23,12 @@ def panel_obstacles(world: World, config: ControllerConfig) -> Iterator[Obstacle
     if not world.confidence >= config.min_confidence:
         yield Obstacle(
             code=ControllerCode.PANEL_NOT_RECOGNISED,
-            state="waiting: panel not recognised",
-            reason=f"the panel is recognised with confidence {world.confidence:.2f}, "
-            f"at least {config.min_confidence:g} is needed",
+            state=because("waiting", Message("panel.panel_not_recognised")),
+            reason=Message(
+                "panel.panel_recognised_confidence_least_needed",
+                confidence=world.confidence,
+                min_confidence=config.min_confidence,
+            ),
             every_goal=False,
             passing=known and not still,
         )
@@ -31,24 +36,25 @@ def panel_obstacles(world: World, config: ControllerConfig) -> Iterator[Obstacle
         missing = "pose" if world.camera_from_panel is None else "controls"
         yield Obstacle(
             code=ControllerCode.PANEL_NOT_RECOGNISED,
-            state="waiting: panel not recognised",
-            reason=f"the panel is not recognised: no {missing} yet",
+            state=because("waiting", Message("panel.panel_not_recognised")),
+            reason=Message("panel.panel_not_recognised_no_yet", missing=missing),
             every_goal=False,
         )
     elif not still:
         yield Obstacle(
             code=ControllerCode.PANEL_OLD,
-            state="waiting: panel pose is old",
-            reason="the panel has not been seen from where the cameras have come to, "
-            f"at most {config.look_timeout_s:g} s are waited for it",
+            state=because("waiting", Message("panel.panel_pose_old")),
+            reason=Message("panel.panel_not_seen_where_cameras", look_timeout_s=config.look_timeout_s),
             every_goal=False,
             passing=True,
         )
     elif pose_age > config.panel_max_age_s:
         yield Obstacle(
             code=ControllerCode.PANEL_OLD,
-            state="waiting: panel pose is old",
-            reason=f"no pose of the panel {since(pose_age)}, at most {config.panel_max_age_s:g} s are allowed",
+            state=because("waiting", Message("panel.panel_pose_old")),
+            reason=Message(
+                "panel.no_pose_panel_most_allowed", since=since(pose_age), panel_max_age_s=config.panel_max_age_s
+            ),
             every_goal=False,
             passing=pose_age <= patient_limit_s(config.panel_max_age_s, config),
             delay=world.panel_delay(config),
@@ -56,8 +62,8 @@ def panel_obstacles(world: World, config: ControllerConfig) -> Iterator[Obstacle
     elif world.plane_due and not world.unrest():
         yield Obstacle(
             code=ControllerCode.PANEL_PLANE_DUE,
-            state="waiting: the panel's plane is being measured",
-            reason="the panel's plane is being measured, and the driver does not know it yet",
+            state=because("waiting", Message("panel.panel_plane_being_measured")),
+            reason=Message("panel.panel_plane_being_measured_driver"),
             every_goal=False,
             passing=True,
         )

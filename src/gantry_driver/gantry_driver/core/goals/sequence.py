@@ -8,11 +8,13 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from gantry_driver.core.job.effects import SCREEN_CHANGED
 from icu_common.core.configuration.config import Config, setting
 from icu_common.core.goals.results import EFFECT, EFFECT_MISSING, GoalResult, Outcome
 from icu_common.core.goals.sequence import Check, Sequence, Step
 from icu_common.core.panel.panel_state import PanelSeen, angle_between
-from icu_common.core.reasons.state_text import state_name
+from icu_common.core.reasons.message import Message, joined, quoted
+from icu_common.core.reasons.state_text import as_message, state_name
 
 NANO = 1_000_000_000
 ANGLE_TOLERANCE_DEG = 3.0
@@ -103,7 +105,9 @@ class SequenceRun:
     @property
     def state(self) -> str:
         """Progress of the sequence, as text for people."""
-        return f"step {self._number}/{len(self.sequence.steps)}: {self._step.gesture}"
+        return Message(
+            "sequence.step_running", number=self._number, steps=len(self.sequence.steps), gesture=self._step.gesture
+        )
 
     @property
     def _step(self) -> Step:
@@ -146,30 +150,39 @@ class SequenceRun:
         """
         jumped_back_s, self._ticked_ns = (self._ticked_ns - now_ns) / NANO, now_ns
         if jumped_back_s > CLOCK_JUMP_S:
-            return self.abort(f"the clock jumped back by {jumped_back_s:.1f} s", now_ns)
+            return self.abort(Message("controller.clock_jumped_back", jumped_back_s=jumped_back_s), now_ns)
         accept_s, state = self._config.accept_timeout_s, state_name(driver)
         if self._given_up:
             if state in STOPPED:
-                return self.abort(f"{self._given_up}; the machine was told to stop and is {driver!r}", now_ns)
+                return self.abort(
+                    Message("sequence.machine_told_stop", given_up=self._given_up, driver=quoted(as_message(driver))),
+                    now_ns,
+                )
             late = now_ns > self._deadline_ns
-            text = f"{self._given_up}; the machine was told to stop, but says {driver or 'nothing'!r}: look at it"
+            text = Message(
+                "sequence.machine_told_stop_but_says",
+                given_up=self._given_up,
+                driver=quoted(as_message(driver) or Message("sequence.nothing")),
+            )
             return self.abort(text, now_ns) if late else []
         if not self._taken and now_ns - self._step_ns > accept_s * NANO:
-            return self._give_up(f"the controller has neither taken nor refused it within {accept_s:g} s", now_ns)
+            return self._give_up(Message("sequence.controller_neither_taken_nor_refused", accept_s=accept_s), now_ns)
         if not at_rest:
             self._worked_ns = now_ns
         if self._taken and self._answer is None and now_ns - self._worked_ns > accept_s * NANO:
             # A restarted controller does not have the step.
-            return self._give_up(f"the controller has been at rest for {accept_s:g} s without an answer to it", now_ns)
+            return self._give_up(Message("sequence.controller_rest_without_answer", accept_s=accept_s), now_ns)
         if state == "moving":
             self._sign_ns = now_ns
         if self._answer is None and now_ns - self._sign_ns > self._config.answer_timeout_s * NANO:
             # The latched state of a hanging controller still shows a goal in progress.
-            return self._give_up(f"no sign of work on it for {self._config.answer_timeout_s:g} s", now_ns)
+            return self._give_up(
+                Message("sequence.no_sign_work", answer_timeout_s=self._config.answer_timeout_s), now_ns
+            )
         if self.done or self._answer is None or now_ns <= self._deadline_ns:
             return []
-        missing = ", ".join(self._missing(self._answer))
-        return self._fail(f"not seen in time: {missing}", now_ns)
+        missing = joined(self._missing(self._answer), "text.listed")
+        return self._fail(Message("sequence.not_seen_time", missing=missing), now_ns)
 
     def stopped(self, cause: str, now_ns: int) -> list[Action]:
         """Note that the machine was stopped, or lost its operator: the sequence must not continue later.
@@ -206,17 +219,17 @@ class SequenceRun:
 
     def _missing(self, answer: GoalResult) -> list[str]:
         """Return the unfulfilled checks, each with what is seen instead."""
-        found = []
+        found: list[str] = []
         for check in self._step.checks:
             instead = self._unlike(check, answer)
             if instead:
-                found.append(f"{check.text()} ({instead})")
+                found.append(Message("sequence.unlike", check=check.text(), instead=instead))
         return found
 
     def _unlike(self, check: Check, answer: GoalResult) -> str:
         """Return what is seen instead of the check's expectation, empty if it is fulfilled."""
         details = dict(answer.details)
-        effect = details.get(EFFECT, "not looked for")
+        effect = details.get(EFFECT, Message("sequence.not_looked"))
         if check.kind == "effect":
             return effect if EFFECT not in details or EFFECT_MISSING in details else ""
         # Only an image taken during this step shows its effect.
@@ -224,29 +237,36 @@ class SequenceRun:
         if check.kind == "screen":
             # A change during the approach, such as an alarm, is not an effect of the step.
             touched_ns = int(details.get("touched_ns", self._step_ns))
-            changed = effect == "screen changed" or (seen is not None and seen.changed_ns() > touched_ns)
-            return "" if changed else "no change"
+            screen = isinstance(effect, Message) and effect.code == SCREEN_CHANGED.code
+            changed = screen or (seen is not None and seen.changed_ns() > touched_ns)
+            return "" if changed else Message("sequence.no_change")
         control = seen.control(check.control) if seen is not None and seen.stamp_ns > self._answered_ns else None
         if control is None:
-            return "not seen yet"
+            return Message("sequence.not_seen_yet")
         if check.kind == "lamp":
             return "" if control.lamp == check.value else control.text()
         try:
             wanted = dict(control.marks)[check.value] if check.value in dict(control.marks) else float(check.value)
         except ValueError:
-            return f"no mark {check.value}"
+            return Message("sequence.no_mark", check=check.value)
         off = abs(angle_between(control.angle_deg, wanted)) if not math.isnan(control.angle_deg) else math.inf
         return "" if off <= ANGLE_TOLERANCE_DEG else control.text()
 
     def _fail(self, cause: str, now_ns: int) -> list[Action]:
         self.done = True
-        reason = f"step {self._number} of {len(self.sequence.steps)}, {self._step.gesture}: {cause}"
+        reason = Message(
+            "sequence.step_failed",
+            number=self._number,
+            steps=len(self.sequence.steps),
+            gesture=self._step.gesture,
+            cause=cause,
+        )
         return [Report(result=self._result(Outcome.ABORTED, now_ns, reason))]
 
     def _result(self, outcome: Outcome, now_ns: int, reason: str = "") -> GoalResult:
         return GoalResult(
             goal_id=self.run_id,
-            goal=self.sequence.name or f"{len(self.sequence.steps)} steps",
+            goal=self.sequence.name or Message("sequence.steps", steps=len(self.sequence.steps)),
             outcome=outcome,
             reason=reason,
             duration_s=(now_ns - self._started_ns) / NANO if outcome.final else math.nan,

@@ -18,6 +18,7 @@ from gantry_driver.core.motion import motion_plan, targets
 from gantry_driver.core.motion.scene import Scene
 from gantry_driver.core.motion.targets import Touch
 from icu_common.core.geometry.geometry import Array, Transform
+from icu_common.core.reasons.message import Message
 
 FAR_NS = 2**63
 MOST_BESIDE = 2
@@ -61,7 +62,9 @@ class Look:
     def unseen_text(self, spread_m: float) -> str:
         """Return a text on the number of observations, and on the number required."""
         spread_mm = 1000 * spread_m
-        return f"the tip was seen {len(self.tips)} times, {self.needed} times within {spread_mm:g} mm are needed"
+        return Message(
+            "servo.tip_seen_times_times_within", tips=len(self.tips), needed=self.needed, spread_mm=spread_mm
+        )
 
 
 NO_LOOK = Look(after_ns=0, until_ns=0, needed=1, kept=1)
@@ -82,8 +85,12 @@ def judge(error: Array, aim: Aim, config: ControllerConfig) -> Fault | Aim | Non
     if sideways <= config.max_error_m:
         return None
     return Fault(
-        cause=f"the seen error is {1000 * sideways:.2f} mm after {aim.corrections} corrections, "
-        f"{1000 * config.max_error_m:g} mm are allowed"
+        cause=Message(
+            "servo.seen_error_after_corrections_allowed",
+            sideways_mm=1000 * sideways,
+            corrections=aim.corrections,
+            max_error_mm=1000 * config.max_error_m,
+        )
     )
 
 
@@ -93,9 +100,13 @@ def misplaced(error: Array, config: ControllerConfig) -> Fault | None:
     if sideways <= config.max_correction_m and abs(error[2]) <= config.max_depth_error_m:
         return None
     return Fault(
-        cause=f"the tip is seen {1000 * sideways:.2f} mm beside and {1000 * error[2]:+.2f} mm above its "
-        f"place, {1000 * config.max_correction_m:g} and {1000 * config.max_depth_error_m:g} mm are "
-        "allowed: calibrate again"
+        cause=Message(
+            "servo.tip_seen_beside_above_place",
+            sideways_mm=1000 * sideways,
+            error_mm=1000 * error[2],
+            max_correction_m=1000 * config.max_correction_m,
+            max_depth_error_mm=1000 * config.max_depth_error_m,
+        )
     )
 
 
@@ -104,8 +115,8 @@ def _corrected(error_xy: Array, aim: Aim, most_m: float) -> Fault | Aim:
     total = float(np.linalg.norm(aim.base_from_reading @ corrected.correction))
     if total > most_m:
         # The seen tip does not follow the machine, and the path is known to be clear only within this distance.
-        cause = f"the seen errors add up to a correction by {1000 * total:.2f} mm, {1000 * most_m:g} mm are allowed"
-        return Fault(cause=f"{cause}: calibrate again")
+        cause = Message("servo.seen_errors_add_up_correction", total_mm=1000 * total, most_mm=1000 * most_m)
+        return Fault(cause=Message("contact.calibrate_again", cause=cause))
     return corrected
 
 
@@ -115,15 +126,21 @@ def contact_fault(error_m: float, above_m: float, look: Look, config: Controller
     NaN: not seen. A stylus that sticks, or a camera that repeats its last image, shows the tip at its hover position.
     """
     if math.isnan(error_m) and config.require_servo:
-        return Fault(cause=f"touched, but not measured: {look.unseen_text(config.tip_spread_m)}", tells_touch=True)
+        return Fault(
+            cause=Message("servo.touched_but_not_measured", unseen_text=look.unseen_text(config.tip_spread_m)),
+            tells_touch=True,
+        )
     if above_m > config.max_depth_error_m:
         return Fault(
-            cause=f"the tip was seen {1000 * above_m:.1f} mm above the surface when it should touch, "
-            f"{1000 * config.max_depth_error_m:g} mm are allowed: does the stylus come down, is the picture new?"
+            cause=Message(
+                "servo.tip_seen_above_surface_when",
+                above_mm=1000 * above_m,
+                max_depth_error_mm=1000 * config.max_depth_error_m,
+            )
         )
     if error_m > config.max_error_m:
         bound = 1000 * config.max_error_m
-        cause = f"touched {1000 * error_m:.2f} mm beside the target, {bound:g} mm are allowed"
+        cause = Message("servo.touched_beside_target_allowed", error_mm=1000 * error_m, bound_mm=bound)
         return Fault(cause=cause, tells_touch=True)
     return None
 

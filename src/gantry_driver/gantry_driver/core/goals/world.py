@@ -25,7 +25,8 @@ from icu_common.core.geometry.camera_model import CameraModel
 from icu_common.core.geometry.geometry import Array, Transform
 from icu_common.core.panel.panel_state import PanelSeen
 from icu_common.core.processes.delays import Delay, ResultCode
-from icu_common.core.reasons.state_text import state_name
+from icu_common.core.reasons.message import Message, quoted
+from icu_common.core.reasons.state_text import as_message, because, state_name
 
 EXTENDED_M = 0.0005
 """Extension above which a stylus that was left behind may be pressing something."""
@@ -50,7 +51,7 @@ class World:
     """The same as ``held_up_s``, in wall time."""
     held_up_s: float = 0.0
     """Seconds by which messages may look too old, because the controller itself was held up."""
-    driver: str = "disconnected: nothing heard from the driver"
+    driver: str = because("disconnected", Message("inputs.nothing_heard_driver"))
     readings: Array | None = None
     readings_ns: int = 0
     crossed_ns: int = 0
@@ -104,14 +105,14 @@ class World:
             return Fault(cause=self.rivals.text, stop=True)
         state = state_name(self.driver)
         if state not in ("idle", "moving"):
-            return Fault(cause=f"the driver is {self.driver!r}", lift=False)
+            return Fault(cause=Message("inputs.driver", driver=quoted(as_message(self.driver))), lift=False)
         joints_s, limit_s = self.age_s(self.readings_ns), config.joints_timeout_s
         if joints_s > (patient_limit_s(limit_s, config) if waiting else limit_s):
-            cause = f"no joint_states {since(joints_s)}"
+            cause = Message("inputs.no_joint_states", since=since(joints_s))
             return Fault(cause=cause, lift=False, stop=not waiting, delay=joints_delay(joints_s, config))
         if self.heartbeat_age_s > config.heartbeat_timeout_s:
             age = since(self.heartbeat_age_s)
-            return Fault(cause=f"lost the operator: no heartbeat {age}")
+            return Fault(cause=Message("inputs.lost_operator_no_heartbeat", age=age))
         if self.panel_alarm:
             return Fault(cause=self.panel_alarm, stop=pushing)
         return None
@@ -132,10 +133,10 @@ class World:
         ``patient``: nothing has been touched, so that late images only cost time.
         """
         if self.base_from_reading is None:
-            return Fault(cause="the calibration was withdrawn", stop=pushing)
+            return Fault(cause=Message("inputs.calibration_withdrawn"), stop=pushing)
         camera_s, limit_s = self.age_s(self.camera_stamp_ns), config.camera_timeout_s
         if camera_s > (patient_limit_s(limit_s, config) if patient else limit_s):
-            cause = f"the camera has stalled: no picture {since(camera_s)}"
+            cause = Message("inputs.camera_stalled_no_picture", since=since(camera_s))
             return Fault(cause=cause, delay=camera_delay(camera_s, config))
         finding = self.pair_finding(config)
         if finding is not None and finding.code is FindingCode.CAMERA_MOVED:
@@ -151,8 +152,11 @@ class World:
             moved = float(np.linalg.norm(now.apply(in_panel) - before.apply(in_panel)))
             if moved > config.panel_moved_m:
                 return Fault(
-                    cause=f"the panel has moved by {1000 * moved:.1f} mm at the target, "
-                    f"{1000 * config.panel_moved_m:g} mm are allowed",
+                    cause=Message(
+                        "inputs.panel_moved_target_allowed",
+                        moved_mm=1000 * moved,
+                        panel_moved_mm=1000 * config.panel_moved_m,
+                    ),
                     stop=pushing,
                 )
         return None
@@ -226,15 +230,17 @@ class World:
             assert self.seen is not None
             hidden_s = (self.seen.stamp_ns - since_ns) / NANO
             if hidden_s >= config.hidden_after_s:
-                return Fault(cause=f"something (a hand?) has hidden {control} for {hidden_s:.1f} s")
+                return Fault(cause=Message("inputs.something_hand_hidden", control=control, hidden_s=hidden_s))
         panel_s, delay = self.age_s(self.panel_stamp_ns), self.panel_delay(config)
         if delay is not None and panel_s > patient_limit_s(config.panel_max_age_s, config):
-            return Fault(cause=f"no pose of the panel {since(panel_s)}: the recognition is late", delay=delay)
+            return Fault(cause=Message("inputs.no_pose_panel_recognition_late", since=since(panel_s)), delay=delay)
         if delay is None and panel_s > config.panel_max_age_s:
             return Fault(
-                cause=f"the panel is not recognised {since(panel_s)}, "
-                f"at most {config.panel_max_age_s:g} s are allowed: "
-                "is something before it, or too little light?"
+                cause=Message(
+                    "inputs.panel_not_recognised_most_allowed",
+                    since=since(panel_s),
+                    panel_max_age_s=config.panel_max_age_s,
+                )
             )
         return None
 
@@ -247,7 +253,7 @@ class World:
         reports_none = self.confidence < config.min_confidence and self.age_s(self.confidence_ns) <= limit_s
         if panel_s <= limit_s or reports_none or not math.isfinite(panel_s):
             return None
-        return Delay(code=ResultCode.LATE_IMAGE, what="pose of the panel", measured_s=panel_s, limit_s=limit_s)
+        return Delay(code=ResultCode.LATE_IMAGE, what=Message("inputs.pose_panel"), measured_s=panel_s, limit_s=limit_s)
 
     def delays(self, config: ControllerConfig) -> list[Delay]:
         """Return the delays of the inputs that have arrived before and are now older than their limits."""
@@ -298,13 +304,13 @@ class World:
     def unrest(self) -> str:
         """Return a text if the machine moves or its stylus is extended, else an empty text."""
         if state_name(self.driver) in ("moving", "homing"):
-            return f"the driver is {self.driver!r}"
+            return Message("inputs.driver", driver=quoted(as_message(self.driver)))
         extended = self.readings is not None and self.readings[2] > EXTENDED_M
-        return f"the stylus is extended by {1000 * self.here[2]:.1f} mm" if extended else ""
+        return Message("stylus.extended", extended_mm=1000 * self.here[2]) if extended else ""
 
     def left_behind_text(self) -> str:
         """Return a text with the extension of the stylus at the start."""
-        return f"the controller started with the stylus extended by {1000 * self.here[2]:.1f} mm"
+        return Message("inputs.controller_started_stylus_extended", here_mm=1000 * self.here[2])
 
     def scene(self) -> Scene:
         """Return the scene in which a touch is planned; there must be no :func:`obstacles`."""

@@ -7,11 +7,12 @@ from collections.abc import Sequence
 from gantry_driver.core.grbl.buffers import BoardBuffers
 from gantry_driver.core.grbl.grbl_messages import Report
 from gantry_driver.core.grbl.lines import SYNCHRONISE, Line, answers_missing
+from icu_common.core.reasons.message import Message, quoted
 
 MISSING_REPORTS = SURPLUS_REPORTS = 2
 """Number of successive reports that must show a missing, or a surplus, answer: one report may be damaged."""
-LOST_LINE = "the board has taken lines that it has not answered: a line or its answer was lost on the wire"
-OUT_OF_TURN = "the board answered $G out of turn: a line or an answer was lost or doubled on the wire"
+LOST_LINE = Message("board.board_taken_lines_not_answered")
+OUT_OF_TURN = Message("board.board_answered_out_turn_line")
 
 
 class Contradictions:
@@ -55,9 +56,7 @@ class Contradictions:
         self._surplus_reports = self._surplus_reports + 1 if surplus else 0
         if self._surplus_reports == SURPLUS_REPORTS:
             self._surplus_reports = 0
-            return (
-                f"the board holds {held} bytes, {in_flight_bytes} are under way: an answer came that belongs to no line"
-            )
+            return Message("board.board_holds_bytes_under_way", held=held, in_flight_bytes=in_flight_bytes)
         short = _lacks_answers(report, buffers, in_flight, now)
         self._short_reports = self._short_reports + 1 if short else 0
         if self._short_reports == MISSING_REPORTS:
@@ -72,7 +71,9 @@ class Contradictions:
             self._unanswered_since = now
         line = in_flight[0][0]
         if now - self._unanswered_since > line.answer_within_s:
-            return f"no answer to {line.text!r} within {line.answer_within_s:g} s although the board is at rest"
+            return Message(
+                "board.no_answer_within_although_board", line=quoted(line.text), answer_within_s=line.answer_within_s
+            )
         return ""
 
 

@@ -9,6 +9,8 @@ import re
 from dataclasses import dataclass
 from enum import Enum
 
+from icu_common.core.reasons.message import Message as Text
+
 MAX_LINE = 1024
 """Maximum kept bytes of a line; the longest valid lines (help texts of grblHAL) are far shorter."""
 
@@ -299,85 +301,85 @@ def _report(text: str) -> Report | None:
 
 
 ALARM_TEXTS = {
-    1: "hard limit switch, position lost",
-    2: "target beyond soft limits",
-    3: "reset while moving, position lost",
-    4: "probe not in its initial state",
-    5: "probe did not make contact",
-    6: "homing: reset during the cycle",
-    7: "homing: door opened",
-    8: "homing: pull-off did not clear the switch",
-    9: "homing: no switch found",
-    10: "emergency stop or second axis",
+    1: Text("grbl.hard_limit_switch_position_lost"),
+    2: Text("grbl.target_beyond_soft_limits"),
+    3: Text("grbl.reset_while_moving_position_lost"),
+    4: Text("grbl.probe_not_initial_state"),
+    5: Text("grbl.probe_did_not_make_contact"),
+    6: Text("grbl.homing_reset_during_cycle"),
+    7: Text("grbl.homing_door_opened"),
+    8: Text("grbl.homing_pull_off_did_not"),
+    9: Text("grbl.homing_no_switch_found"),
+    10: Text("grbl.emergency_stop_second_axis"),
 }
 _ALARM_TEXTS_OF = {
     Dialect.GRBLHAL: {
-        10: "the emergency stop is pressed",
-        11: "must be homed first",
-        12: "a limit switch is engaged",
-        14: "the spindle is not at speed",
-        17: "motor fault",
+        10: Text("grbl.emergency_stop_pressed"),
+        11: Text("grbl.must_homed_first"),
+        12: Text("grbl.limit_switch_engaged"),
+        14: Text("grbl.spindle_not_speed"),
+        17: Text("grbl.motor_fault"),
     },
     Dialect.FLUIDNC: {
-        10: "spindle fault",
-        11: "a control or limit input is active at the start",
-        12: "homing: which switch is not clear",
-        13: "hard stop",
-        14: "must be homed first",
+        10: Text("grbl.spindle_fault"),
+        11: Text("grbl.control_limit_input_active_start"),
+        12: Text("grbl.homing_switch_not_clear"),
+        13: Text("grbl.hard_stop"),
+        14: Text("grbl.must_homed_first"),
     },
 }
 """Meanings, in other firmwares, of numbers that GRBL does not use or uses differently (grblHAL: alarms.c, FluidNC:
 Protocol.h)."""
 ERROR_TEXTS = {
-    1: "letter expected",
-    2: "bad number",
-    3: "$ statement not known",
-    4: "the value must not be negative",
-    5: "homing is not enabled ($22)",
-    6: "step pulse shorter than 3 us",
-    7: "EEPROM read failed",
-    8: "allowed only while idle",
-    9: "locked by an alarm",
-    10: "soft limits need homing",
-    11: "line too long",
-    12: "step rate above the firmware's maximum",
-    13: "safety door open",
-    14: "too long to be stored",
-    15: "jog beyond the travel",
-    16: "bad jog",
-    17: "laser mode needs PWM",
-    18: "a reset signal is held, or with FluidNC no axis homes",
-    20: "command not supported",
-    21: "two commands of one modal group",
-    22: "no feed rate",
-    23: "integer expected",
-    24: "two commands use the axis words",
-    25: "word given twice",
-    26: "no axis words",
-    27: "line number out of range",
-    28: "value word missing",
-    29: "coordinate system beyond G59",
-    30: "G53 needs G0 or G1",
-    31: "axis words without a use",
-    32: "arc without an axis word of its plane",
-    33: "arc target",
-    34: "arc radius",
-    35: "arc offsets",
-    36: "unused value words",
-    37: "G43.1 takes the axis of the tool only",
-    38: "tool number too large",
-    45: "a limit switch is engaged, only homing is allowed",
-    46: "must be homed first",
-    50: "the emergency stop is pressed",
+    1: Text("grbl.letter_expected"),
+    2: Text("grbl.bad_number"),
+    3: Text("grbl.statement_not_known"),
+    4: Text("grbl.value_must_not_negative"),
+    5: Text("grbl.homing_not_enabled"),
+    6: Text("grbl.step_pulse_shorter_3_us"),
+    7: Text("grbl.eeprom_read_failed"),
+    8: Text("grbl.allowed_only_while_idle"),
+    9: Text("grbl.locked_alarm"),
+    10: Text("grbl.soft_limits_need_homing"),
+    11: Text("grbl.line_too_long"),
+    12: Text("grbl.step_rate_above_firmware_maximum"),
+    13: Text("grbl.safety_door_open"),
+    14: Text("grbl.too_long_stored"),
+    15: Text("grbl.jog_beyond_travel"),
+    16: Text("grbl.bad_jog"),
+    17: Text("grbl.laser_mode_needs_pwm"),
+    18: Text("grbl.reset_signal_held_fluidnc_no"),
+    20: Text("grbl.command_not_supported"),
+    21: Text("grbl.two_commands_one_modal_group"),
+    22: Text("grbl.no_feed_rate"),
+    23: Text("grbl.integer_expected"),
+    24: Text("grbl.two_commands_use_axis_words"),
+    25: Text("grbl.word_given_twice"),
+    26: Text("grbl.no_axis_words"),
+    27: Text("grbl.line_number_out_range"),
+    28: Text("grbl.value_word_missing"),
+    29: Text("grbl.coordinate_system_beyond_g_59"),
+    30: Text("grbl.g_53_needs_g_0"),
+    31: Text("grbl.axis_words_without_use"),
+    32: Text("grbl.arc_without_axis_word_plane"),
+    33: Text("grbl.arc_target"),
+    34: Text("grbl.arc_radius"),
+    35: Text("grbl.arc_offsets"),
+    36: Text("grbl.unused_value_words"),
+    37: Text("grbl.g_43_1_takes_axis"),
+    38: Text("grbl.tool_number_too_large"),
+    45: Text("grbl.limit_switch_engaged_only_homing"),
+    46: Text("grbl.must_homed_first"),
+    50: Text("grbl.emergency_stop_pressed"),
 }
 
 
 def alarm_text(code: int, dialect: Dialect) -> str:
     """Return ``ALARM:N (meaning)``."""
     texts = ALARM_TEXTS | _ALARM_TEXTS_OF.get(dialect, {})
-    return f"ALARM:{code} ({texts.get(code, 'see the manual of the firmware')})"
+    return Text("grbl.alarm", code=code, texts=texts.get(code, Text("grbl.see_manual_firmware")))
 
 
 def error_text(code: int) -> str:
     """Return ``error:N (meaning)``."""
-    return f"error:{code} ({ERROR_TEXTS.get(code, 'see the manual of the firmware')})"
+    return Text("grbl.error", code=code, error_texts=ERROR_TEXTS.get(code, Text("grbl.see_manual_firmware")))

@@ -38,6 +38,8 @@ from gantry_driver.core.grbl.lines import (
 )
 from gantry_driver.core.grbl.modes import ASK_MODES
 from gantry_driver.core.grbl.report_requests import SILENT_POLLS, ReportRequests
+from icu_common.core.reasons.message import Message as Text
+from icu_common.core.reasons.message import quoted
 
 HOLD = b"!"
 RESUME = b"~"
@@ -175,12 +177,12 @@ class GrblSession:
             If the line is empty or too long, or has a byte that is not printable ASCII or is a real-time command.
         """
         if not text or len(text) + 1 > MAX_LINE_BYTES:
-            raise ValueError(
-                f"line {text!r} has {len(text) + 1} bytes with its newline, 2 to {MAX_LINE_BYTES} can be sent"
-            )
+            raise ValueError(Text("grbl.line_length", text=quoted(text), size=len(text) + 1, limit=MAX_LINE_BYTES))
         for column, char in enumerate(text, 1):
             if not " " <= char <= "}" or char in "!?":
-                raise ValueError(f"line {text!r}, column {column}: {char!r} cannot be part of a line")
+                raise ValueError(
+                    Text("grbl.line_column_cannot_part_line", text=quoted(text), column=column, char=quoted(char))
+                )
         if not self.pending:
             self._roomy_reports = 0
         self._number += 1

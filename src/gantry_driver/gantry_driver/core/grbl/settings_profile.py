@@ -7,6 +7,7 @@ import re
 from collections.abc import Iterable, Mapping
 
 from gantry_driver.core.grbl.lines import plain
+from icu_common.core.reasons.message import Message, quoted
 
 REPORT_MASK = 10
 """Number of the setting that selects the contents of reports."""
@@ -23,21 +24,30 @@ class ProfileError(ValueError):
     """A profile's text cannot be read; the message names the line."""
 
 
-def differences(found: Mapping[int, str], wanted: Mapping[int, float], who: str = "the configuration") -> list[str]:
+def differences(
+    found: Mapping[int, str], wanted: Mapping[int, float], who: str = Message("settings.configuration")
+) -> list[str]:
     """Return a sentence for each setting of ``wanted`` that differs from a board's ``found`` texts."""
-    texts = []
+    texts: list[str] = []
     for number, value in wanted.items():
         text = found.get(number)
         if text is None:
-            texts.append(f"${number} is missing, {who} says {value:g}")
+            texts.append(Message("settings.missing_says", number=number, who=who, value=value))
         elif not _equal(text, value) and number == REPORT_MASK:
             shown = text.partition(".")[0]
-            lacks = f"bit 0 ({MACHINE_POSITION}) or bit 5 ({WORK_OFFSET})"
+            lacks = Message("settings.bit_0_bit_5", machine_position=MACHINE_POSITION, work_offset=WORK_OFFSET)
             texts.append(
-                f"${number} is {shown}: its reports tell no machine position without {lacks}, {who} says {value:g}"
+                Message(
+                    "settings.reports_tell_no_machine_position",
+                    number=number,
+                    shown=shown,
+                    lacks=lacks,
+                    who=who,
+                    value=value,
+                )
             )
         elif not _equal(text, value):
-            texts.append(f"${number} is {text}, {who} says {value:g}")
+            texts.append(Message("settings.says", number=number, text=text, who=who, value=value))
     return texts
 
 
@@ -67,15 +77,17 @@ def parse_profile(lines: Iterable[str]) -> dict[int, float]:
             continue
         match = _LINE.match(text)
         if match is None:
-            raise ProfileError(f"line {place}: {text!r} is not $number=value")
+            raise ProfileError(Message("settings.line_not_value", place=place, text=quoted(text)))
         number = int(match[1])
         if number in profile:
-            raise ProfileError(f"line {place}: ${number} is given twice")
+            raise ProfileError(Message("settings.line_given_twice", place=place, number=number))
         profile[number] = float(match[2])
         if not abs(profile[number]) <= LARGEST:
-            raise ProfileError(f"line {place}: {text!r} is not within -{LARGEST:g} to {LARGEST:g}")
+            raise ProfileError(
+                Message("settings.line_not_within", place=place, text=quoted(text), largest=LARGEST, largest_2=LARGEST)
+            )
     if not profile:
-        raise ProfileError("the profile has no setting")
+        raise ProfileError(Message("settings.profile_no_setting"))
     return profile
 
 
@@ -94,5 +106,5 @@ def _equal(text: str, value: float) -> bool:
 
 def _plain(value: float) -> str:
     if not math.isfinite(value):
-        raise ProfileError(f"{value} cannot be written")
+        raise ProfileError(Message("settings.cannot_written", value=value))
     return plain(value)

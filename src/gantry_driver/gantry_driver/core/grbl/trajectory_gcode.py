@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from gantry_driver.core.configuration.machine_config import DriverConfig
 from gantry_driver.core.grbl.lines import SYNCHRONISE, plain
 from icu_common.core.geometry.frames import JOINTS
+from icu_common.core.reasons.message import Message
 
 _M_WORD, _S_WORD = re.compile(r"M(\d+)"), re.compile(r"S([\d.]+)")
 _END_M = 0.0005
@@ -101,7 +102,7 @@ def joint_order(names: Sequence[str]) -> tuple[int, ...]:
     """
     unknown = [name for name in names if name not in JOINTS]
     if unknown or not names or len(set(names)) != len(names):
-        raise TrajectoryError(f"joint names {list(names)}: some of {', '.join(JOINTS)}, each once, are needed")
+        raise TrajectoryError(Message("path.joint_names_some_each_once", names=list(names), joints=", ".join(JOINTS)))
     return tuple(list(names).index(joint) if joint in names else -1 for joint in JOINTS)
 
 
@@ -120,7 +121,9 @@ def write_motion(
     """
     order = joint_order(names)
     if not 0 < len(points) <= config.max_points:
-        raise TrajectoryError(f"the trajectory has {len(points)} points, 1 to {config.max_points} are needed")
+        raise TrajectoryError(
+            Message("path.trajectory_points_1_needed", points=len(points), max_points=config.max_points)
+        )
     parts: list[Move | Order] = []
     here, clock, total = start_m, 0.0, 0.0
     for number, point in enumerate(points, 1):
@@ -189,25 +192,37 @@ def _target(
 ) -> tuple[float, float, float]:
     if len(point.positions_m) != sum(place >= 0 for place in order):
         raise TrajectoryError(
-            f"point {number} has {len(point.positions_m)} positions for {sum(p >= 0 for p in order)} joints"
+            Message(
+                "path.point_positions_joints",
+                number=number,
+                positions_m=len(point.positions_m),
+                order=sum(p >= 0 for p in order),
+            )
         )
     if not all(math.isfinite(v) for v in (*point.velocities_m_s, point.time_s)):
         raise TrajectoryError(
-            f"point {number}: velocities {point.velocities_m_s} or time {point.time_s} are not finite"
+            Message(
+                "path.point_velocities_time_not_finite",
+                number=number,
+                velocities_m_s=point.velocities_m_s,
+                time_s=point.time_s,
+            )
         )
     if point.time_s < 0:
-        raise TrajectoryError(f"point {number}: time_from_start {point.time_s:g} s is negative")
+        raise TrajectoryError(Message("path.point_time_start_negative", number=number, time_s=point.time_s))
     target = list(here)
     for axis, (place, limit) in enumerate(zip(order, config.limits_m())):
         if place < 0:
             continue
         value = point.positions_m[place]
         if not math.isfinite(value):
-            raise TrajectoryError(f"point {number}: {JOINTS[axis]} = {value} is not finite")
+            raise TrajectoryError(Message("path.point_not_finite", number=number, joints=JOINTS[axis], value=value))
         # At its end an axis reports the nearest motor step, and a trajectory may keep it there.
         slack = _ROUNDING_M + 1e-3 / config.machine.steps_per_mm[axis]
         if not -slack <= value <= limit + slack:
-            raise TrajectoryError(f"point {number}: {JOINTS[axis]} = {value:.6g} m is outside 0 to {limit:g} m")
+            raise TrajectoryError(
+                Message("path.point_outside_0", number=number, joints=JOINTS[axis], value_m=value, limit_m=limit)
+            )
         target[axis] = min(max(value, 0.0), limit)
     x, y, z = target
     if config.stylus.kind != "z_axis":
@@ -215,9 +230,14 @@ def _target(
         if min(z, abs(down_m - z)) > _END_M:
             # Rounded to the nearer end, the stylus would press where it should hover.
             raise TrajectoryError(
-                f"point {number}: {JOINTS[2]} = {z:.6g} m is between up, 0, and down, {down_m:g} m, the only places of "
-                f"a {config.stylus.kind}: does who sends it take it for a Z axis (the controller's "
-                "stylus_two_positions)?"
+                Message(
+                    "path.point_between_up_0_down",
+                    number=number,
+                    joints=JOINTS[2],
+                    z_m=z,
+                    down_m=down_m,
+                    kind=config.stylus.kind,
+                )
             )
         z = down_m if z > down_m / 2 else 0.0
     return x, y, z
@@ -241,7 +261,9 @@ def _seconds(
     elif point.time_s > 0:
         seconds = point.time_s - clock
         if not seconds > 0 and distance > 0:
-            raise TrajectoryError(f"point {number}: time_from_start {point.time_s:g} s does not follow {clock:g} s")
+            raise TrajectoryError(
+                Message("path.point_time_start_not_follow", number=number, time_s=point.time_s, clock_s=clock)
+            )
     else:
         stylus = way[2] / config.stylus_feed_m_s if axes == 3 else 0.0
         return max(math.hypot(*way[:2]) / config.feed_m_s, stylus)
@@ -249,7 +271,9 @@ def _seconds(
         rate = way[axis] / seconds * 60_000.0 if seconds else way[axis] and math.inf
         limit = config.machine.max_rate_mm_min[axis]
         if rate > limit * 1.001:
-            raise TrajectoryError(f"point {number}: {JOINTS[axis]} at {rate:.0f} mm/min is above {limit:g} mm/min")
+            raise TrajectoryError(
+                Message("path.point_min_above_min", number=number, joints=JOINTS[axis], rate=rate, limit=limit)
+            )
     return seconds
 
 

@@ -16,6 +16,7 @@ from gantry_driver.core.configuration.machine_config import DriverConfig
 from gantry_driver.core.grbl.trajectory_gcode import Waypoint
 from gantry_driver.core.states.machine_states import Answered, CloseRequested, Event, Note, Position, StateChanged
 from icu_common.core.goals.results import GoalResult, Outcome
+from icu_common.core.reasons.message import Message, decoded, encoded
 
 MAX_FRAME_BYTES = 4 * 1024 * 1024
 """Maximum size of a frame in bytes: twice that of 10,000 points, the largest trajectory that ``max_points`` allows."""
@@ -28,16 +29,17 @@ class FrameError(ValueError):
 
 
 def frame(message: Mapping[str, Any]) -> bytes:
-    """Return a message as bytes.
+    """Return a message as bytes; a value that is a text with a code keeps it.
 
     Raises
     ------
     FrameError
         If the message is too long.
     """
-    data = json.dumps(message, separators=(",", ":")).encode()
+    texts = {key: encoded(value) for key, value in message.items() if isinstance(value, Message)}
+    data = json.dumps({**message, **texts}, separators=(",", ":")).encode()
     if len(data) > MAX_FRAME_BYTES:
-        raise FrameError(f"the frame has {len(data)} bytes (limit {MAX_FRAME_BYTES})")
+        raise FrameError(Message("guard.frame_bytes_limit", data=len(data), max_frame_bytes=MAX_FRAME_BYTES))
     return _LENGTH.pack(len(data)) + data
 
 
@@ -59,7 +61,7 @@ class FrameReader:
         while len(self._data) >= _LENGTH.size:
             (length,) = _LENGTH.unpack_from(self._data)
             if length > MAX_FRAME_BYTES:
-                raise FrameError(f"the frame has {length} bytes (limit {MAX_FRAME_BYTES})")
+                raise FrameError(Message("guard.frame_bytes_limit", data=length, max_frame_bytes=MAX_FRAME_BYTES))
             end = _LENGTH.size + length
             if len(self._data) < end:
                 return
@@ -68,22 +70,22 @@ class FrameReader:
             try:
                 message = json.loads(text)
             except (ValueError, RecursionError) as error:
-                raise FrameError(f"the frame is not JSON: {error}") from error
+                raise FrameError(Message("guard.frame_not_json", error=error)) from error
             if not isinstance(message, dict):
-                raise FrameError("the frame is not a JSON object")
+                raise FrameError(Message("guard.frame_not_json_object"))
             yield message
 
 
 def event_values(event: Event) -> list[Any]:
     """Return an event as JSON values."""
     if isinstance(event, Answered):
-        return [Answered.__name__, asdict(event.result)]
-    return [type(event).__name__, asdict(event)]
+        return [Answered.__name__, encoded(asdict(event.result))]
+    return [type(event).__name__, encoded(asdict(event))]
 
 
 def event_of(values: Sequence[Any]) -> Event:
     """Return the event of :func:`event_values`."""
-    name, content = values
+    name, content = values[0], decoded(values[1])
     if name == Answered.__name__:
         details = tuple((str(key), str(value)) for key, value in content.pop("details"))
         outcome = Outcome(content.pop("outcome"))

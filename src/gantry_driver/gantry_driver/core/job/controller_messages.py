@@ -16,6 +16,7 @@ from icu_common.core.goals.intent import Intent
 from icu_common.core.goals.results import GoalResult
 from icu_common.core.panel.panel_state import PanelSeen
 from icu_common.core.processes.delays import Delay
+from icu_common.core.reasons.message import Message
 
 FARTHEST_M = 10.0
 """Maximum distance of a reading from home: twice the longest travel that the driver can be configured for."""
@@ -59,7 +60,11 @@ class Joints:
 
     def __post_init__(self) -> None:
         if not abs(self.readings).max() <= FARTHEST_M:
-            raise ValueError(f"readings {self.readings.tolist()} m: at most {FARTHEST_M:g} m from home are believed")
+            raise ValueError(
+                Message(
+                    "controller.readings_most_home_believed", readings_m=self.readings.tolist(), farthest_m=FARTHEST_M
+                )
+            )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -121,7 +126,7 @@ class Axes:
         if matrix is None:
             return
         if matrix.shape != (2, 2) or not abs(matrix - ((1.0, 0.0), (0.0, 1.0))).max() <= 0.1:
-            raise ValueError(f"axes {matrix.tolist()}: 2 x 2 values within 0.1 of the identity are needed")
+            raise ValueError(Message("controller.axes_2_2_values_within", matrix=matrix.tolist()))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

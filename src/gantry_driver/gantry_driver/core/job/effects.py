@@ -11,6 +11,7 @@ from gantry_driver.core.motion.targets import MOST_BIAS_DEG
 from icu_common.core.goals.results import EFFECT, EFFECT_MISSING, EffectMissing
 from icu_common.core.panel.gesture import Gesture
 from icu_common.core.panel.panel_state import ControlSeen, PanelSeen, angle_between
+from icu_common.core.reasons.message import Message, quoted
 
 PART_DEG = 150.0
 """Maximum angle of one turn: a turn that is too short or too long by nearly half a turn is then still unambiguous."""
@@ -58,8 +59,9 @@ class Effect:
         return ((EFFECT, self.text), *(() if missing is None else ((EFFECT_MISSING, missing.value),)))
 
 
-NONE_SEEN = Effect(kind=EffectKind.NONE, text="none seen")
-NOT_LOOKED_FOR = Effect(kind=EffectKind.NOT_LOOKED_FOR, text="not looked for")
+SCREEN_CHANGED = Message("effect.screen_changed")
+NONE_SEEN = Effect(kind=EffectKind.NONE, text=Message("effect.none_seen"))
+NOT_LOOKED_FOR = Effect(kind=EffectKind.NOT_LOOKED_FOR, text=Message("sequence.not_looked"))
 
 
 def effect(before: PanelSeen, after: PanelSeen, name: str, since_ns: int, left_ns: int) -> tuple[Effect | None, bool]:
@@ -76,9 +78,9 @@ def effect(before: PanelSeen, after: PanelSeen, name: str, since_ns: int, left_n
     if old is not None and new is not None and old.lamp:
         hidden = not new.lamp or after.stamp_ns <= left_ns
         if not hidden and old.lamp != new.lamp:
-            return Effect(kind=EffectKind.LAMP, text=f"lamp {old.lamp} -> {new.lamp}"), True
+            return Effect(kind=EffectKind.LAMP, text=Message("effect.lamp", lamp=old.lamp, lamp_2=new.lamp)), True
     changed = after.changed_ns() > since_ns
-    screen = Effect(kind=EffectKind.SCREEN, text="screen changed") if changed else None
+    screen = Effect(kind=EffectKind.SCREEN, text=SCREEN_CHANGED) if changed else None
     return screen, changed and not hidden
 
 
@@ -160,19 +162,23 @@ def knob_of(gesture: Gesture, name: str, seen: ControlSeen | None) -> Knob:
     if gesture.kind == "turn":
         return Knob.seen(name, angle, gesture.argument, detent)
     if seen is None:
-        raise Refused(f"nothing is seen of {name}: {gesture.kind} needs recognition's state of the panel")
+        raise Refused(Message("effect.nothing_seen_needs_recognition_state", name=name, kind=gesture.kind))
     if gesture.kind == "click":
         if not detent:
-            raise Refused(f"{name} has no clicks (detent_deg in its layout)")
+            raise Refused(Message("effect.no_clicks_detent_deg_layout", name=name))
         way = -gesture.argument * detent
         if abs(way) > 360:
-            raise Refused(f"{gesture.argument:g} clicks of {detent:g} degrees are more than a whole turn")
+            raise Refused(
+                Message("effect.clicks_degrees_more_whole_turn", argument=gesture.argument, detent_deg=detent)
+            )
         return Knob.seen(name, angle, way, detent)
     goal = gesture.argument
     if gesture.mark:
         marks = dict(seen.marks)
         if gesture.mark not in marks:
-            raise Refused(f"{name} has no mark {gesture.mark!r}; it has {', '.join(marks) or 'none'}")
+            raise Refused(
+                Message("effect.no_mark", name=name, mark=quoted(gesture.mark), marks=", ".join(marks) or "none")
+            )
         goal = marks[gesture.mark]
     knob = Knob.seen(name, angle, angle_between(angle, goal), detent)
     knob.goal_deg = goal

@@ -23,6 +23,7 @@ from icu_common.core.goals.results import Felt, GoalResult, Outcome
 from icu_common.core.panel.gesture import Gesture
 from icu_common.core.panel.panel_state import PanelSeen
 from icu_common.core.reasons.codes import ControllerCode
+from icu_common.core.reasons.message import Message
 
 NANO = 1_000_000_000
 
@@ -31,21 +32,21 @@ class Phase(str, Enum):
     """Phase of a goal; the value is for diagnostics."""
 
     IDLE = "idle"
-    SIGHT = "waiting for the panel to be seen"
-    WAIT = "waiting for a free view"
-    MOVE = "moving to the point"
-    APPROACH = "moving above the target"
-    LOOK = "looking at the tip"
-    CORRECT = "moving by the seen error"
-    RETURN = "moving back above the target"
-    TOUCH = "touching down"
-    CONTACT = "touching: looking at the contact"
-    TURN = "touching: turning"
-    LIFT = "moving up"
-    MEASURE = "waiting for the pictures of the contact"
-    ASIDE = "moving out of the way"
-    READ = "looking for the effect"
-    BREAK_OFF = "moving up after a fault"
+    SIGHT = Message("goal.waiting_panel_seen")
+    WAIT = Message("goal.waiting_free_view")
+    MOVE = Message("goal.moving_point")
+    APPROACH = Message("goal.moving_above_target")
+    LOOK = Message("goal.looking_tip")
+    CORRECT = Message("goal.moving_seen_error")
+    RETURN = Message("goal.moving_back_above_target")
+    TOUCH = Message("goal.touching_down")
+    CONTACT = Message("goal.touching_looking_contact")
+    TURN = Message("goal.touching_turning")
+    LIFT = Message("goal.moving_up")
+    MEASURE = Message("goal.waiting_pictures_contact")
+    ASIDE = Message("goal.moving_out_way")
+    READ = Message("goal.looking_effect")
+    BREAK_OFF = Message("goal.moving_up_after_fault")
 
 
 MOVING = (
@@ -254,7 +255,7 @@ class Job:
             place = " ".join(f"{v:.5f}" for v in touch.in_base)
             details += [("control", touch.control), ("target_base_m", place)]
         if outcome.final:
-            cameras = "cameras beside it" if self.measured_beside else "cameras"
+            cameras = Message("goal.cameras_beside") if self.measured_beside else "cameras"
             measured = "readings" if touch is None else cameras
             details.append(("measured_by", "nothing" if math.isnan(self.error_m) else measured))
         if outcome.final and touch is not None:

@@ -10,6 +10,7 @@ import math
 from gantry_driver.core.job.controller_config import ControllerConfig
 from gantry_driver.core.job.goal_job import NANO
 from icu_common.core.processes.delays import Delay, ResultCode
+from icu_common.core.reasons.message import Message
 
 CLICK_MAX_AGE_S = 2.0
 """Maximum age of an order of a person, whatever held it up: an older one must never move anything."""
@@ -73,7 +74,7 @@ def joints_delay(age_s: float, config: ControllerConfig) -> Delay | None:
 
 def camera_delay(age_s: float, config: ControllerConfig) -> Delay | None:
     """Return the delay of the left camera's images with this age in seconds, None within its limit."""
-    return delay_beyond(ResultCode.LATE_IMAGE, "image of the left camera", age_s, config.camera_timeout_s)
+    return delay_beyond(ResultCode.LATE_IMAGE, Message("wait.image_left_camera"), age_s, config.camera_timeout_s)
 
 
 def delay_beyond(code: ResultCode, what: str, age_s: float, limit_s: float) -> Delay | None:
@@ -84,4 +85,4 @@ def delay_beyond(code: ResultCode, what: str, age_s: float, limit_s: float) -> D
 
 def since(age_s: float) -> str:
     """Return an age as the end of "no image ...": ``for 1.2 s``, or ``yet`` if nothing has arrived."""
-    return f"for {age_s:.1f} s" if math.isfinite(age_s) else "yet"
+    return Message("wait.for_s", age_s=age_s) if math.isfinite(age_s) else "yet"

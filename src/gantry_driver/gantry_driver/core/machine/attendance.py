@@ -6,6 +6,8 @@ while the stylus is down would leave it there until ``max_rest_extended_s`` has 
 
 from __future__ import annotations
 
+from icu_common.core.reasons.message import Message
+
 SIGN_S = 0.1
 """Interval of the signs, s."""
 
@@ -31,4 +33,4 @@ class Attendance:
 
 def silent_text(silent_s: float) -> str:
     """Return the reason of the stop."""
-    return f"gantry_controller has sent no sign of its goal for {silent_s:.1f} s"
+    return Message("operator.gantry_controller_sent_no_sign", silent_s=silent_s)

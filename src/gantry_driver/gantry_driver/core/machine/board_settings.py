@@ -11,6 +11,8 @@ from gantry_driver.core.grbl.settings_profile import differences, lines_to_write
 from gantry_driver.core.machine.connection import Connection
 from gantry_driver.core.states.machine_states import Note, Phase
 from gantry_driver.core.states.reasons import Why
+from icu_common.core.reasons.message import Message, joined, quoted
+from icu_common.core.reasons.state_text import as_message
 
 READING_SETTINGS = (3, 23, 27, 100, 101, 102, 130, 131, 132)
 """Directions, homing corner, pull-off, steps and travel: a change makes a calibration of the readings invalid."""
@@ -50,7 +52,7 @@ class BoardSettings(Connection):
     def accept_settings(self, now: float) -> str:
         """Accept the present differences between the board's settings and the configuration, and no others."""
         if self.phase is not Phase.MISMATCH or not self._settings or self._misplaced:
-            return f"nothing to accept: the driver is {self.state_text}"
+            return Message("settings.nothing_accept_driver", state_text=as_message(self.state_text))
         self._accepted_mismatch = self._mismatch
         self._enter(Phase.UNHOMED, now)
         return ""
@@ -61,16 +63,18 @@ class BoardSettings(Connection):
         Only settings that differ are written. The machine is unhomed afterwards: steps or travel may have changed.
         """
         if self.phase not in (Phase.MISMATCH, Phase.UNHOMED, Phase.IDLE) or self._rests_extended():
-            return f"settings are written to a board at rest with the stylus up, the driver is {self.state_text}"
+            return Message("settings.settings_written_board_rest_stylus", state_text=as_message(self.state_text))
         wanted = dict(profile if profile is not None else self.expected_settings())
         lines = lines_to_write(self._settings, wanted) if self._settings else []
         if not lines:
-            known = "it has these settings" if self._settings else "the board has no settings"
-            return "; ".join([f"nothing to write: {known}", *self._startup_lines()])
+            known = Message("settings.these_settings") if self._settings else Message("settings.board_no_settings")
+            return joined([Message("settings.nothing_write", known=known), *self._startup_lines()])
         self._forget_position()
         self._profile = wanted
         self._kept = {number: text for number, text in self._settings.items() if number not in wanted}
-        self._enter(Phase.WRITING, now, f"writing {', '.join(text.partition('=')[0] for text in lines)}")
+        self._enter(
+            Phase.WRITING, now, Message("settings.writing", lines=", ".join(text.partition("=")[0] for text in lines))
+        )
         for text in lines:
             self._marker = self.session.queue(text).number
         return ""
@@ -97,21 +101,14 @@ class BoardSettings(Connection):
 
     def _startup_lines(self) -> list[str]:
         """Return a sentence for each line that the board runs after a reset, and so after a stop."""
-        found = []
+        found: list[str] = []
         for name, text in sorted(self._startup.items()):
             if text and name in _MACROS:
-                found.append(
-                    f"{name} runs {text!r} after a reset, it must be empty: take it out of the board's config file"
-                )
+                found.append(Message("settings.runs_after_reset_must_empty", name=name, text=quoted(text)))
             elif text:
-                found.append(
-                    f"{name} runs {text!r} after each reset, it must be empty: unlock by $X, then send {name}="
-                )
+                found.append(Message("settings.runs_after_each_reset_must", name=name, text=quoted(text), name_2=name))
         if missing := ", ".join(self._startup_missing()):
-            found.append(
-                f"{missing} could not be read, is there noise on the line? "
-                "What the board runs after each reset is not known: connect it anew"
-            )
+            found.append(Message("settings.could_not_read_noise_line", missing=missing))
         return found
 
     @abstractmethod
@@ -120,21 +117,21 @@ class BoardSettings(Connection):
 
     def _check_settings(self, now: float) -> None:
         if not self._settings:
-            self._close("the board told no settings", now)
+            self._close(Message("settings.board_told_no_settings"), now)
             return
         wrong = differences(self._settings, self.expected_settings())
         self._settings_differ = bool(wrong)
         kept, self._kept = self._kept, {}
         changed = (n for n in kept if n in self._settings and self._settings[n] != kept[n])
         # A damaged line may have written a setting other than the intended one.
-        wrong += [f"${n} became {self._settings[n]}, it was {kept[n]}: write it back" for n in changed]
-        self._mismatch = "; ".join([*wrong, *self._startup_lines()])
+        wrong += [Message("settings.became_write_back", n=n, settings=self._settings[n], kept=kept[n]) for n in changed]
+        self._mismatch = joined([*wrong, *self._startup_lines()])
         if (idle := self._settings.get(IDLE_DELAY)) is not None and idle.partition(".")[0] != STAYS_ON:
-            text = f"${IDLE_DELAY} is {idle}: motors that let go can be pushed unnoticed, {STAYS_ON} keeps them on"
+            text = Message("settings.motors_let_go_can_pushed", idle_delay=IDLE_DELAY, idle=idle, stays_on=STAYS_ON)
             self._events.append(Note(level="warn", text=text))
         profile, self._profile = self._profile, {}
-        for text in differences(self._settings, profile, "what was written"):
-            self._events.append(Note(level="error", text=f"the board did not keep a setting: {text}"))
+        for setting in differences(self._settings, profile, Message("settings.written")):
+            self._events.append(Note(level="error", text=Message("settings.not_kept", setting=setting)))
         if not self._blocked() and self._lift_left(now):
             return
         if self._latched:

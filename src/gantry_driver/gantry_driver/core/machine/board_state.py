@@ -20,10 +20,12 @@ from gantry_driver.core.states.machine_states import (
     StateChanged,
 )
 from gantry_driver.core.states.reasons import Why, code_of
-from gantry_driver.core.states.stylus_state import CLAUSE, IS_RELEASED, MAY_PRESS, MAY_SINK, Stylus
+from gantry_driver.core.states.stylus_state import IS_RELEASED, MAY_PRESS, MAY_SINK, Stylus
 from gantry_driver.core.wire.goal import Goal, Reading
 from icu_common.core.goals.results import GoalResult, Outcome
 from icu_common.core.reasons.codes import CODE, REASON, DriverCode
+from icu_common.core.reasons.message import Message, joined
+from icu_common.core.reasons.state_text import because
 
 TICK_S = 0.05
 """Maximum seconds between two ticks."""
@@ -38,7 +40,7 @@ class BoardState:
         self.counts = Counts()
         self.session = GrblSession(self.counts)
         self.phase = Phase.CLOSED
-        self.reason: Why = "not opened yet"
+        self.reason: Why = Message("driver.not_opened_yet")
         self._not_lifted: str | None = None
         """Why a stop has not lifted the stylus, empty if it has; None if no stop has decided about the stylus."""
         self._suspended = ""
@@ -113,7 +115,7 @@ class BoardState:
     def state_text(self) -> str:
         """The published state: ``state`` or ``state: reason``."""
         reason = "inactive" if self.phase is Phase.IDLE and not self.active else self._whole_reason()
-        return f"{self.state}: {reason}" if reason else self.state
+        return because(self.state, reason)
 
     def codes(self) -> tuple[tuple[str, str], ...]:
         """Return the code and the text of the published state's first reason, if it has a code.
@@ -271,7 +273,7 @@ class BoardState:
 
     def _whole_reason(self) -> str:
         """Return the reason, and the states that may end before it: stylus not lifted, board suspended."""
-        return CLAUSE.join(text for text in (str(self.reason), self._stylus_text(), self._suspended) if text)
+        return joined((str(self.reason), self._stylus_text(), self._suspended))
 
     def _stylus_text(self) -> str:
         """Return a clause if nothing has lifted the stylus, because readers assume that ``stopped`` means lifted."""

@@ -12,6 +12,7 @@ from gantry_driver.core.machine.board_state import BoardState
 from gantry_driver.core.states.machine_states import CloseRequested, Phase
 from gantry_driver.core.states.reasons import Why
 from icu_common.core.goals.results import Outcome
+from icu_common.core.reasons.message import Message
 
 HOLD_REPEAT_S = 0.2
 """Seconds after which a hold that no report shows is sent again."""
@@ -21,8 +22,8 @@ LEFT_WAIT_S = 0.05
 """Seconds to wait for a banner if the machine was left moving or pressing; then the driver requests the board's state.
 It sends no hold before a report shows motion: the loader of a board that restarts may read holds as commands."""
 REFUSED = {
-    Dialect.MARLIN: "the firmware is Marlin, which has no feed hold; GRBL is needed",
-    Dialect.GRBL_0: "the firmware is a GRBL before 1.1, whose reports have another form; 1.1 is needed",
+    Dialect.MARLIN: Message("link.firmware_marlin_no_feed_hold"),
+    Dialect.GRBL_0: Message("link.firmware_grbl_before_1_1"),
 }
 """Unsupported firmwares, and the reasons."""
 
@@ -49,7 +50,7 @@ class Connection(BoardState):
     def closed(self, reason: str, now: float) -> None:
         """Handle a lost port: abort the goal and discard the position."""
         self.left_moving = self.left_moving or not self.at_rest
-        self._finish(Outcome.ABORTED, f"link lost: {reason}", now)
+        self._finish(Outcome.ABORTED, Message("guard.link_lost", reason=reason), now)
         self._forget_position()
         self._unanswered = ""
         self.session.start(now)
@@ -78,8 +79,12 @@ class Connection(BoardState):
     def _report_connecting(self, report: Report, now: float) -> None:
         """Note why the board accepts no lines; it answers none until then."""
         self._kept_place.after_reset(report)
-        question = {"Door": "is its safety door open", "Hold": "is its hold button pressed"}.get(report.state)
-        self._suspended = f"the board reports {report.state_text}, {question}?" if question else ""
+        question = {"Door": Message("link.safety_door_open"), "Hold": Message("link.hold_button_pressed")}.get(
+            report.state
+        )
+        self._suspended = (
+            Message("link.board_reports", state_text=report.state_text, question=question) if question else ""
+        )
         self._say_if_changed()
 
     def _rouse(self, age: float, now: float) -> None:
@@ -118,25 +123,30 @@ class Connection(BoardState):
 
     def _no_answer_text(self) -> str:
         """Return a text on a board that was silent for too long, and what to check if no board seems to be there."""
-        text = f"no answer in {self.config.connect_timeout_s:g} s while {self._waiting_for()}"
+        text = Message(
+            "link.no_answer_while", connect_timeout_s=self.config.connect_timeout_s, waiting_for=self._waiting_for()
+        )
         if self.phase is not Phase.SYNCHRONISE:
-            return f"{text}: {self._suspended}" if self._suspended else text
+            return Message("text.more", first=text, second=self._suspended) if self._suspended else text
         if unread := self.session.unread_report:
             return with_quote(text, unread)
         if not self._heard_bytes:
-            return f"{text}: has the board power, and is {self.config.port} its port?"
-        return (
-            f"{text}: {self._heard_bytes} bytes came that are no GRBL's: is {self.config.baud} its line rate (baud), "
-            f"or is another device at {self.config.port}?"
+            return Message("link.board_power_port", text=text, port=self.config.port)
+        return Message(
+            "link.bytes_came_no_grbl_line",
+            text=text,
+            heard_bytes=self._heard_bytes,
+            baud=self.config.baud,
+            port=self.config.port,
         )
 
     def _waiting_for(self) -> str:
         return {
-            Phase.SYNCHRONISE: "waiting for a banner",
-            Phase.IDENTIFY: "asking for the build",
-            Phase.SETTINGS: "reading the settings",
-            Phase.WRITING: "writing the settings",
-        }.get(self.phase, self.phase.state)
+            Phase.SYNCHRONISE: Message("link.waiting_banner"),
+            Phase.IDENTIFY: Message("link.asking_build"),
+            Phase.SETTINGS: Message("link.reading_settings"),
+            Phase.WRITING: Message("link.writing_settings"),
+        }.get(self.phase) or Message("state.named", state=self.phase.state)
 
     def _close(self, reason: str, now: float) -> None:
         self._events.append(CloseRequested(reason=reason))

@@ -12,6 +12,8 @@ from gantry_driver.core.states.machine_states import Phase, Position
 from gantry_driver.core.states.reasons import Reason
 from gantry_driver.core.states.stylus_state import Stylus
 from icu_common.core.reasons.codes import DriverCode
+from icu_common.core.reasons.message import Message
+from icu_common.core.reasons.state_text import as_message
 
 OFFSET_WITHIN_S = 1.0
 """Maximum seconds after homing for two reports with a work offset; a board without one moves, but runs no program."""
@@ -34,7 +36,7 @@ class Homing(Streaming):
     def home(self, now: float) -> str:
         """Begin a homing cycle."""
         if self.phase not in (Phase.UNHOMED, Phase.IDLE) and not self._misplaced:
-            return f"the driver is {self.state_text}"
+            return Message("homing.driver", state_text=as_message(self.state_text))
         if refusal := self._permission(now) or self._unlock_refusal():
             return refusal
         self._forget_position()
@@ -62,16 +64,13 @@ class Homing(Streaming):
         locked = self.dialect is Dialect.GRBLHAL and value.isdecimal() and int(value) & bit
         if self.config.stylus.kind == "z_axis" or self.homed or not locked:
             return ""
-        return (
-            f"the board must be homed before it takes any line (${number} is {value}), but the stylus has to be lifted "
-            f"before that: set ${number} to 1, as gantry/write_settings does"
-        )
+        return Message("homing.board_must_homed_before_takes", number=number, value=value, number_2=number)
 
     def _report_homing(self, report: Report, now: float) -> None:
         if not self._marker_done or report.state == "Home":
             return
         if report.state != "Idle":
-            self._to_alarm(f"after homing the board is {report.state_text}", now)
+            self._to_alarm(Message("homing.after_homing_board", state_text=report.state_text), now)
             return
         if report.mpos_mm is None:  # a work position; its offset comes with one of the next reports, or never
             if self.session.unplaced_reports > UNPLACED_REPORTS:
@@ -88,7 +87,11 @@ class Homing(Streaming):
         expected = self.config.machine.homed_mpos_mm()[: 3 if self.config.stylus.kind == "z_axis" else 2]
         if elsewhere(report.mpos_mm, expected):
             found = ", ".join(f"{v:.3f}" for v in report.mpos_mm[:3])
-            text = f"homed at MPos {found} mm, the configuration says {', '.join(f'{v:g}' for v in expected)} mm"
+            text = Message(
+                "homing.homed_mpos_configuration_says",
+                found_mm=found,
+                expected_mm=", ".join(f"{v:g}" for v in expected),
+            )
             self._enter(Phase.MISMATCH, now, Reason(code=DriverCode.HOMED_ELSEWHERE, text=text))
             self._misplaced = True
             return

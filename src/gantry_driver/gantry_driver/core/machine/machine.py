@@ -35,6 +35,8 @@ from gantry_driver.core.machine.stopping import elsewhere
 from gantry_driver.core.states.machine_states import Note, Phase
 from gantry_driver.core.wire.faults import MotionFault
 from icu_common.core.goals.results import Outcome
+from icu_common.core.reasons.message import Message as Text
+from icu_common.core.reasons.message import quoted
 
 BANNER_TIMEOUT_S = 5.0
 BUILD_WITHIN_S = 0.5
@@ -85,17 +87,17 @@ class Machine(Homing):
         elif phase is Phase.HOLDING:
             self._tick_holding(age, now)
         elif phase is Phase.RESETTING and self.session.awaiting_banner and age > BANNER_TIMEOUT_S:
-            self._close(f"no banner within {BANNER_TIMEOUT_S:g} s of a reset", now)
+            self._close(Text("machine.no_banner_within_reset", banner_timeout_s=BANNER_TIMEOUT_S), now)
         elif phase is Phase.ALARM_RESET:
             if not self.session.awaiting_banner and now >= self._reset_not_before and self._marker == 0:
                 self._marker = -1
                 self.session.soft_reset(now)
             elif age > BANNER_TIMEOUT_S + CRITICAL_ALARM_PAUSE_S:
-                self._close(f"no banner within {BANNER_TIMEOUT_S:g} s of a reset", now)
+                self._close(Text("machine.no_banner_within_reset", banner_timeout_s=BANNER_TIMEOUT_S), now)
         elif phase is Phase.HOMING and age > self.config.homing_timeout_s:
-            self._halt(f"homing took longer than {self.config.homing_timeout_s:g} s", now)
+            self._halt(Text("machine.homing_took_longer", homing_timeout_s=self.config.homing_timeout_s), now)
         elif phase is Phase.LIFTING and age > self._lift_timeout_s:
-            self._enter(Phase.STOPPED, now, self.reason, not_lifted="the stylus was not lifted in time")
+            self._enter(Phase.STOPPED, now, self.reason, not_lifted=Text("machine.stylus_not_lifted_time"))
         self._watch(now)
 
     def _watch(self, now: float) -> None:
@@ -103,14 +105,14 @@ class Machine(Homing):
         paused = self._pausing and self._stylus_is_down()
         if (self._rests_extended() or paused) and rested > allowed:
             # The program that lowered the stylus has ended, although the operator is present.
-            self._halt(f"the stylus was left extended for {rested:.1f} s, {allowed:g} s are allowed", now)
+            self._halt(Text("machine.stylus_left_extended_allowed", rested_s=rested, allowed_s=allowed), now)
         if self.moves_or_presses and (refusal := self._heartbeat_refusal(now)):
             self._halt(refusal, now)
         self._check_time(now)
         excused = self.phase in (Phase.CLOSED, Phase.HOMING) or self._critical or self.session.awaiting_banner
         silent = self.session.silent_for(now)
         if not excused and silent > self.config.status_timeout_s:
-            self._close(with_quote(f"no status report for {silent:.1f} s", self.session.unread_report), now)
+            self._close(with_quote(Text("machine.no_status_report", silent_s=silent), self.session.unread_report), now)
             self.session.realtime(HOLD)  # The last byte before the port is closed: the board may still receive it.
 
     # --- commands ----------------------------------------------------------------------------------------------------
@@ -190,7 +192,7 @@ class Machine(Homing):
     def _ask_again(self, now: float) -> None:
         """Reset a board that does not answer ``$I``: one flipped bit makes it ``$H``, which homes."""
         self._asked_again = True
-        reason = f"the board has not answered $I within {BUILD_WITHIN_S:g} s and may be homing: it is reset"
+        reason = Text("machine.board_not_answered_within_may", build_within_s=BUILD_WITHIN_S)
         self._events.append(Note(level="error", text=reason))
         self._synchronise(now, reason)
         self.session.soft_reset(now)
@@ -221,7 +223,7 @@ class Machine(Homing):
                 self.session.poll_now()
         if event.line.text == HOME and self.phase is Phase.HOMING and self.session.latency_s < HOMING_LEAST_S:
             # A damaged $H is a query that is answered at once, or a comment.
-            text = f"homing was answered after {self.session.latency_s:.2f} s: the board has not homed"
+            text = Text("machine.homing_answered_after_board_not", latency_s=self.session.latency_s)
             self._halt(text, now)
             return
         if number != self._marker:
@@ -237,16 +239,18 @@ class Machine(Homing):
             self.session.poll_now()
 
     def _on_refused(self, event: Refused, now: float) -> None:
-        text = f"{error_text(event.code)} at line {event.line.number} {event.line.text!r}"
+        text = Text(
+            "machine.line", error_text=error_text(event.code), number=event.line.number, line=quoted(event.line.text)
+        )
         self._events.append(Note(level="error", text=text))
         if self._confirms_again(event.line, now):
             return
         if self.phase in (Phase.MOVING, Phase.IDLE):
             self._halt(text, now)
         elif self.phase is Phase.HOMING:
-            self._halt(f"homing refused: {text}", now)
+            self._halt(Text("machine.homing_refused", text=text), now)
         elif self.phase is Phase.LIFTING:
-            self._enter(Phase.STOPPED, now, self.reason, not_lifted=f"the stylus was not lifted: {text}")
+            self._enter(Phase.STOPPED, now, self.reason, not_lifted=Text("machine.stylus_not_lifted", text=text))
         elif self.phase is Phase.WRITING and event.line.number == self._marker:
             self._read_settings(now, "")
         elif self.phase is Phase.SETTINGS and event.line.text in READ_STARTUP:
@@ -255,7 +259,7 @@ class Machine(Homing):
             if event.line.number == self._marker:
                 self._read_startup(now)
         elif self.phase in (Phase.IDENTIFY, Phase.SETTINGS) and event.line.number == self._marker:
-            self._close(f"{event.line.text} was refused: {text}", now)
+            self._close(Text("machine.refused", line=event.line.text, text=text), now)
 
     def _on_alarm(self, alarm: Alarm, now: float) -> None:
         text = alarm_text(alarm.code, self.dialect)

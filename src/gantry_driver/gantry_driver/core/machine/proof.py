@@ -19,14 +19,15 @@ from gantry_driver.core.wire.goal import Goal, Reading
 from gantry_driver.core.wire.stages import CLEAR_FRAME, FEED_WORD, Confirm
 from gantry_driver.core.wire.watch import REPORT_LATE_S, PathWatch
 from icu_common.core.goals.results import Outcome
+from icu_common.core.reasons.message import Message, quoted
 
 CONFIRM_TRIES = 4
 """Maximum number of times that modes, feed and frame are sent and requested."""
 ELSEWHERE_S = 0.1
 """Seconds at rest at another position after which a goal fails: a board starts a move shortly after the line's answer.
 """
-OWN_RESET = "the board was reset by itself, its position is lost"
-ELSEWHERE = "the board stands elsewhere without a command from here, its position is lost"
+OWN_RESET = Message("proof.board_reset_itself_position_lost")
+ELSEWHERE = Message("proof.board_stands_elsewhere_without_command")
 RESTS = Phase.IDLE, Phase.STOPPED
 """Phases of a homed machine in which the board moves only without a command."""
 BEYOND_MM = 0.5
@@ -74,7 +75,7 @@ class Proving(Stopping):
         if seen is self._stylus or age_s > SEEN_S or self.homed or not self.at_rest:
             return
         self._stylus, self._not_lifted = seen, None
-        told = f"the cameras show the stylus {1000.0 * height_m:.1f} mm above the panel: it presses nothing"
+        told = Message("proof.cameras_show_stylus_above_panel", height_mm=1000.0 * height_m)
         self._events.append(Note(level="warn", text=told))
         self._say_if_changed()
 
@@ -146,7 +147,12 @@ class Proving(Stopping):
         elif goal.tries < CONFIRM_TRIES:
             self._queue_confirm(goal, item)
         else:
-            text = f"$G shows no {missing} after {' '.join(item.lines)!r}: {goal.modes_text or 'nothing'}"
+            text = Message(
+                "proof.shows_no_after",
+                missing=missing,
+                lines=quoted(" ".join(item.lines)),
+                modes_text=goal.modes_text or "nothing",
+            )
             self._fault(MotionFault.MODES_DIFFER, text, now)
 
     def _confirms_again(self, line: Line, now: float) -> bool:
@@ -198,7 +204,7 @@ class Proving(Stopping):
             self.session.withdraw(RESUME)
             self.session.realtime(HOLD)
         else:
-            text = f"the board left the path: {deviation.text()}"
+            text = Message("proof.board_left_path", deviation=deviation.text())
             self._fault(MotionFault.LEFT_PATH, text, now, deviation.details())
         return True
 
@@ -209,7 +215,7 @@ class Proving(Stopping):
             return
         limit_s = goal.limit_s * 100.0 / max(goal.slowest_percent, 1.0)
         if (took_s := now - goal.started - goal.paused_s) > limit_s:
-            text = f"the motion has taken {took_s:.1f} s (limit {limit_s:.1f} s, twice the expected time)"
+            text = Message("proof.motion_taken_limit_twice_expected", took_s=took_s, limit_s=limit_s)
             details = (("duration_s", f"{took_s:.1f}"), ("limit_s", f"{limit_s:.1f}"))
             self._fault(MotionFault.OVERDUE, text, now, details)
 
@@ -236,7 +242,9 @@ class Proving(Stopping):
         end_m = goal.end_m
         if goal.stages and goal.stage.end_mm is not None:
             end_m = reading_m(goal.stage.end_mm, self._stylus_is_down(), self.config)
-        return f"the board stands at {_metres(here)} instead of {_metres(end_m)}, {1000.0 * error_m:.2f} mm off"
+        return Message(
+            "proof.board_stands_instead_off", metres=_metres(here), metres_2=_metres(end_m), error_mm=1000.0 * error_m
+        )
 
     def _frame_is_set(self, goal: Goal, report: Report, now: float) -> bool:
         """Whether the board reports the frame of the path; if it reports another one, order the frame again."""
@@ -252,7 +260,7 @@ class Proving(Stopping):
             if goal.frame is None or goal.tries >= CONFIRM_TRIES:
                 found = "none" if offset is None else ", ".join(f"{v:.3f}" for v in offset[:3])
                 wanted = ", ".join(f"{v:.3f}" for v in origin)
-                text = f"the board reports the work offset {found} mm instead of {wanted} mm"
+                text = Message("proof.board_reports_work_offset_instead", found_mm=found, wanted_mm=wanted)
                 self._fault(MotionFault.MODES_DIFFER, text, now)
             else:
                 goal.confirming = goal.frame
@@ -313,7 +321,7 @@ class Proving(Stopping):
         self._feed_percent = feed
         if rises and self.phase is Phase.MOVING:
             # Each byte that should reset the override arrives as a different one.
-            self._halt(f"the board's feed override rises to {feed:g} % although it is set back", now)
+            self._halt(Message("proof.board_feed_override_rises_although", feed_percent=feed), now)
         if self._goal is not None:
             self._goal.slowest_percent = min(self._goal.slowest_percent, feed)
         raised = feed > 100.0 or (spindle != 100.0 and self._is_servo())
@@ -321,7 +329,7 @@ class Proving(Stopping):
             self.session.realtime(FULL_FEED)
             self.session.realtime(FULL_SPINDLE)
             if not self._raised:
-                told = f"the board's overrides were {feed:g} % (feed) and {spindle:g} % (spindle): set back to 100 %"
+                told = Message("proof.board_overrides_feed_spindle_set", feed_percent=feed, spindle_percent=spindle)
                 self._events.append(Note(level="warn", text=told))
         self._raised = raised
 

@@ -18,6 +18,8 @@ from gantry_driver.core.states.machine_states import Note, Phase
 from gantry_driver.core.states.reasons import Why
 from gantry_driver.core.states.stylus_state import STYLUS_DOWN_M, Stylus
 from icu_common.core.goals.results import Outcome
+from icu_common.core.reasons.message import Message
+from icu_common.core.reasons.state_text import as_message
 
 LIFTS = 2
 """Maximum number of repeated retreats after a retreat that did not go up."""
@@ -27,8 +29,8 @@ from before the resume arrive late, and together."""
 SAME_PLACE_MM = 0.05
 SWITCHED_OFF_BY = dict.fromkeys((Dialect.GRBL, Dialect.GRBLHAL), frozenset((1, 2, 3, 6, 7, 8, 9, 10)))
 """Alarms that switch coolant and spindle off at once; at others, and on FluidNC, only the reset after them does."""
-LEFT_DOWN = "the stylus was left down while no driver was connected"
-LOCKED = "the board is locked by an alarm whose number was not received"
+LEFT_DOWN = Message("stop.stylus_left_down_while_no")
+LOCKED = Message("stop.board_locked_alarm_whose_number")
 
 
 class Stopping(BoardSettings):
@@ -91,8 +93,8 @@ class Stopping(BoardSettings):
             self._enter(Phase.UNHOMED, now)
             return ""
         if self.phase in (Phase.HOLDING, Phase.RESETTING, Phase.LIFTING):
-            return "the stop is not complete yet"
-        return f"nothing to reset: the driver is {self.state_text}"
+            return Message("stop.stop_not_complete_yet")
+        return Message("stop.nothing_reset_driver", state_text=as_message(self.state_text))
 
     @property
     def moves_or_presses(self) -> bool:
@@ -145,7 +147,7 @@ class Stopping(BoardSettings):
         """Enter the alarm; ``code`` is its number, 0 if unknown."""
         if self.phase.state == "stopped":
             told_anew = self._not_lifted is None
-            text = f"{text}, after: {self.reason if told_anew else self._whole_reason()}"
+            text = Message("stop.after", text=text, reason=self.reason if told_anew else self._whole_reason())
         self._finish(Outcome.ABORTED, text, now)
         self._forget_position()
         self._stylus = self._stylus.powerless(self.config.stylus.kind)
@@ -229,12 +231,12 @@ class Stopping(BoardSettings):
             self._lift, self._lift_barred = False, True
             self._enter(Phase.STOPPED, now, self.reason)
         elif report.state == "Alarm" and self.homed:
-            self._to_alarm("the reset left the board locked, its position is lost", now)
+            self._to_alarm(Message("stop.reset_left_board_locked_position"), now)
         elif self.homed and self._stood_mm and report.mpos_mm and elsewhere(report.mpos_mm, self._stood_mm):
             # A reset keeps the position, so the board lost its power. Noise damages one report, hardly two alike.
             found, stood = (", ".join(f"{v:.3f}" for v in place[:3]) for place in (report.mpos_mm, self._stood_mm))
             if self._moved_mm == report.mpos_mm:
-                text = f"after the reset the board reports MPos {found} mm instead of {stood} mm, its position is lost"
+                text = Message("stop.after_reset_board_reports_mpos", found_mm=found, stood_mm=stood)
                 self._to_alarm(text, now)
             self._moved_mm = report.mpos_mm
             self.session.poll_now()
@@ -254,7 +256,7 @@ class Stopping(BoardSettings):
         elif self.phase is Phase.STOPPED and report.state in ("Hold", "Door"):
             self._halt(self.reason, now)
         else:
-            self._halt(f"the board is in {report.state_text} without a command from here", now)
+            self._halt(Message("stop.board_without_command_here", state_text=report.state_text), now)
 
     def _report_lifting(self, report: Report, now: float) -> None:
         if report.state == "Alarm":
@@ -264,7 +266,7 @@ class Stopping(BoardSettings):
             self._events.append(Note(level="error", text="the stylus does not rise, its line was damaged: held again"))
             self._halt(self.reason, now, lift_again=True)
         elif report.state == "Idle" and self._marker_done and report.mpos_mm and self._extended_by_axis():
-            text = f"the stylus was not lifted: it is still extended by {1000.0 * (self._extension_m or 0.0):.1f} mm"
+            text = Message("stop.stylus_not_lifted_still_extended", extension_mm=1000.0 * (self._extension_m or 0.0))
             self._enter(Phase.STOPPED, now, self.reason, not_lifted=text)
         elif report.state == "Idle" and self._marker_done:
             self.session.executed_all()

@@ -38,6 +38,8 @@ from icu_common.core.goals.intent import Intent
 from icu_common.core.goals.results import GoalResult, Outcome
 from icu_common.core.processes.delays import Delay, ResultCode
 from icu_common.core.reasons.codes import DriverCode
+from icu_common.core.reasons.message import Message, joined
+from icu_common.core.reasons.state_text import as_message, because, split_state
 
 PROGRAM_MODES = ("G49", "G0G17G21G40G54G90G94")
 """Modes in force at a program's first line."""
@@ -67,7 +69,10 @@ class Streaming(Proving):
         """The published state; a stop with another reason also names the conflicts that forbid the next motion."""
         text = super().state_text
         conflicts = self._rivals.besides(str(self.reason)) if self.phase.state == "stopped" else ""
-        return f"{text}; {conflicts}" if conflicts else text
+        if not conflicts:
+            return text
+        name, reason = split_state(text)
+        return because(name, joined([reason, conflicts]))
 
     def panel(self, plane: PanelPlane, age_s: float, now: float) -> str:
         """Accept the panel's plane, only at rest with the stylus up: a path keeps the plane it was checked with."""
@@ -81,7 +86,8 @@ class Streaming(Proving):
         """Return why safety settings must not change now; empty at rest with the stylus up."""
         if self.phase in _RESTS and not self._stylus_is_down():
             return ""
-        return f"the driver is {self.state_text}" + ("; the stylus is down" if self._stylus_is_down() else "")
+        state = Message("homing.driver", state_text=as_message(self.state_text))
+        return joined([state, Message("stylus.down") if self._stylus_is_down() else ""])
 
     def heartbeat(self, at: float) -> None:
         """Note a heartbeat of the operator at ``at``, in wall time."""
@@ -90,7 +96,7 @@ class Streaming(Proving):
     def pause(self, now: float) -> str:
         """Pause a motion with a feed hold; buffered lines stay, as does the stylus, up to ``max_rest_extended_s``."""
         if self.phase is not Phase.MOVING or self._pausing:
-            return f"nothing to pause: the driver is {self.state_text}"
+            return Message("stream.nothing_pause_driver", state_text=as_message(self.state_text))
         self.session.paused = self._pausing = True
         self._resuming = False
         self._hold_sent = self._paused_at = now
@@ -106,7 +112,7 @@ class Streaming(Proving):
     def resume(self, now: float) -> str:
         """Resume a paused motion."""
         if self.phase is not Phase.MOVING or not self._pausing:
-            return f"nothing to resume: the driver is {self.state_text}"
+            return Message("stream.nothing_resume_driver", state_text=as_message(self.state_text))
         if refusal := self._permission(now):
             return refusal
         self._pausing, self._resuming = False, True
@@ -142,12 +148,16 @@ class Streaming(Proving):
         intent
             Intent of the trajectory, which decides how it may use the space at the panel.
         """
-        text = f"{len(points)} points" + (f" to {tuple(points[-1].positions_m)}" if points else "")
+        text = Message("guard.points", points=len(points))
+        if points:
+            text = Message("guard.points_to", points=len(points), place=tuple(points[-1].positions_m))
         if not abs(age_s) <= (limit_s := self.config.goal_max_age_s):
             # Nothing has moved, so the code allows the sender to send the path again with a new stamp. A stamp in the
             # future gets no code.
-            delay = Delay(code=ResultCode.STALE, what="trajectory at the driver", measured_s=age_s, limit_s=limit_s)
-            reason = f"stale: its stamp is {age_s:.3f} s old, {limit_s:g} s are allowed"
+            delay = Delay(
+                code=ResultCode.STALE, what=Message("stream.trajectory_driver"), measured_s=age_s, limit_s=limit_s
+            )
+            reason = Message("stream.stale_stamp_old_allowed", age_s=age_s, limit_s=limit_s)
             stale = GoalResult(goal_id=goal_id, goal=text, outcome=Outcome.REJECTED, reason=reason)
             return self._answer(replace(stale, code=delay.code.value, details=delay.details()) if age_s > 0 else stale)
         try:
@@ -202,9 +212,9 @@ class Streaming(Proving):
             While the board's work offset is unknown, or only one report has shown it.
         """
         if self.session.wco_mm is None:
-            raise TrajectoryError("the board has not told its work offset (WCO) yet")
+            raise TrajectoryError(Message("stream.board_not_told_work_offset"))
         if not self.session.wco_is_sure:
-            raise TrajectoryError("the board has not told its work offset (WCO) twice alike yet")
+            raise TrajectoryError(Message("stream.board_not_told_work_offset_2"))
         bounds, start = self.bounds(), mpos_mm(self.reading_m or (0.0, 0.0, 0.0), self.config)
         inside = [min(max(place, low), high) for place, low, high in zip(start, bounds.low_mm, bounds.high_mm)]
         steps_mm = (1.0 / scale for scale in self.config.machine.steps_per_mm)
@@ -223,10 +233,10 @@ class Streaming(Proving):
             if refusal := self._goal_refusal(now):
                 raise TrajectoryError(refusal)
             if self.program_checker().begins != checker.begins:
-                raise TrajectoryError("place or work offset have changed since the program was checked")
+                raise TrajectoryError(Message("stream.place_work_offset_changed_since"))
         except TrajectoryError as error:
             return self._refuse_program(goal_id, error)
-        text = f"program of {len(checked)} lines, about {checker.seconds:.1f} s"
+        text = Message("stream.program_lines_about", checked=len(checked), seconds_s=checker.seconds)
         end = reading_m(checker.position_mm, False, self.config)
         # The checker starts with these modes; the board may have been left in others.
         modes = (Send(text=mode) for mode in (*self._limp_lift(), *PROGRAM_MODES))
@@ -254,23 +264,25 @@ class Streaming(Proving):
 
     def _goal_refusal(self, now: float) -> str:
         if self.phase is not Phase.IDLE:
-            return f"the driver is {self.state_text}"
+            return Message("homing.driver", state_text=as_message(self.state_text))
         return self._permission(now)
 
     def _permission(self, now: float) -> str:
         if not self.active:
-            return "the driver is inactive"
+            return Message("stream.driver_inactive")
         if text := self._rivals.text:
             return text
-        return "not enabled" if not self.enabled else str(self._heartbeat_refusal(now))
+        return Message("hold.not_enabled") if not self.enabled else str(self._heartbeat_refusal(now))
 
     def _heartbeat_refusal(self, now: float) -> Why:
         age = (now if self.wall_s is None else self.wall_s) - self._heartbeat_at
         if age <= self.config.heartbeat_timeout_s:
             return ""
         if math.isinf(age):
-            return "no operator's heartbeat yet"
-        text = f"operator's heartbeat lost: {age:.2f} s old, {self.config.heartbeat_timeout_s:g} s are allowed"
+            return Message("stream.no_operator_heartbeat_yet")
+        text = Message(
+            "stream.operator_heartbeat_lost_old_allowed", age_s=age, heartbeat_timeout_s=self.config.heartbeat_timeout_s
+        )
         return Reason(code=DriverCode.HEARTBEAT_LOST, text=text)
 
     def _refuse_program(self, goal_id: str, error: Exception) -> GoalResult:
@@ -293,7 +305,7 @@ class Streaming(Proving):
         elif (self._pausing or self._resuming) and report.state in ("Idle", "Run", "Hold"):
             self._report_paused(report, now)
         elif report.state in ("Hold", "Door", "Check", "Sleep", "Tool", "Home", "Jog"):
-            self._halt(f"the board went to {report.state_text}", now)
+            self._halt(Message("stream.board_went", state_text=report.state_text), now)
         elif report.state == "Idle" and goal is not None and self._stage_sent(goal):
             self._at_rest(goal, report, now)
 

@@ -15,6 +15,7 @@ import numpy.typing as npt
 from icu_common.core.configuration.config import Config, setting
 from icu_common.core.geometry.frames import JOINTS
 from icu_common.core.geometry.geometry import Array
+from icu_common.core.reasons.message import Message
 
 STANDSTILL_M = 1e-6
 """Minimum length of a step in metres (a twelfth of a motor step at 80 steps/mm); shorter ones are omitted."""
@@ -89,7 +90,7 @@ def check_reach(points: npt.ArrayLike, config: MotionConfig) -> None:
     for name, column, low, high in zip(JOINTS, readings.T, config.lower(), config.upper()):
         for value in column:
             if not low - EDGE_M <= value <= high + EDGE_M:
-                raise OutOfReach(f"{name} = {value:.4f} m lies outside {low:.4f} to {high:.4f} m")
+                raise OutOfReach(Message("motion.lies_outside", name=name, value_m=value, low=low, high_m=high))
 
 
 def reaches(points: npt.ArrayLike, config: MotionConfig) -> bool:

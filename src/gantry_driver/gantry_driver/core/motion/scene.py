@@ -16,6 +16,7 @@ from icu_common.core.alignment.findings import Cause
 from icu_common.core.geometry.camera_model import CameraModel
 from icu_common.core.geometry.geometry import Array, Transform
 from icu_common.core.panel.panel_layout import Control, Dimple
+from icu_common.core.reasons.message import Message, quoted
 
 
 class Refused(ValueError):
@@ -138,7 +139,7 @@ class Scene:
                 return control
         names = [c.name for c in self.panel.controls]
         near = difflib.get_close_matches(name.upper(), names, n=3, cutoff=0.4) or names[:5]
-        raise Refused(f"unknown control {name!r}; nearest: {', '.join(near)}")
+        raise Refused(Message("panel.unknown_control_nearest", name=quoted(name), near=", ".join(near)))
 
     def first_hit(self, origin: Array, direction: Array) -> tuple[Array, PanelControl | None]:
         """Return the surface point (3,) that a ray in panel_link meets first, and the control it belongs to.
@@ -151,7 +152,7 @@ class Scene:
             If the ray does not meet the panel.
         """
         if not (origin[2] > 0 and direction[2] < 0):
-            raise Refused("the line of sight does not meet the panel's face from the front")
+            raise Refused(Message("panel.line_sight_not_meet_panel"))
 
         def at(height: float) -> Array:
             point: Array = origin + (height - origin[2]) / direction[2] * direction

@@ -20,6 +20,7 @@ from icu_common.core.geometry.frames import BASE, CAMERA_LEFT, PANEL
 from icu_common.core.geometry.geometry import Array
 from icu_common.core.panel.gesture import TURNING, Gesture, Point
 from icu_common.core.panel.panel_layout import Dimple
+from icu_common.core.reasons.message import Message, quoted
 
 TURNABLE = ("knob",)
 DRAGGABLE = ("touch_area",)
@@ -134,20 +135,22 @@ def resolve(
     base_from_panel = scene.base_from_panel
     tilt = math.degrees(math.acos(max(-1.0, min(1.0, float(base_from_panel.rotation[2, 2])))))
     if tilt > config.max_tilt_deg:
-        raise Refused(f"the panel leans by {tilt:.1f} degrees, at most {config.max_tilt_deg:g} are allowed")
+        raise Refused(
+            Message("target.panel_leans_degrees_most_allowed", tilt_deg=tilt, max_tilt_deg=config.max_tilt_deg)
+        )
     point, control = _surface(gesture.target, scene)
     if control is not None and control.kind in UNTOUCHABLE:
-        raise Refused(f"{control.name} is a {control.kind}; connectors are never pressed")
+        raise Refused(Message("target.connectors_never_pressed", control=control.name, kind=control.kind))
     if gesture.kind in TURNING:
         if control is None:
-            raise Refused("only a knob can be turned, and there is no control at this point")
+            raise Refused(Message("target.only_knob_can_turned_no"))
         if control.kind not in TURNABLE:
-            raise Refused(f"{control.name} is a {control.kind}; only a knob can be turned")
+            raise Refused(Message("target.only_knob_can_turned", control=control.name, kind=control.kind))
         way = gesture.argument if math.isnan(turn_deg) else turn_deg
         if control.dimple is None:
             contacts = turn_points(control, way, config)
         elif math.isnan(knob_deg):
-            raise Refused(f"{control.name} is turned in its dimple, which is found by its marker: turn it by its name")
+            raise Refused(Message("target.turned_dimple_found_marker_turn", control=control.name))
         else:
             contacts = dimple_points(control, control.dimple, knob_deg, way, config)
     elif gesture.to is not None:
@@ -157,8 +160,16 @@ def resolve(
     low, high = scene.panel.extent
     if not ((low <= point[:2]) & (point[:2] <= high)).all():
         raise Refused(
-            f"the point ({point[0]:.4f}, {point[1]:.4f}) m in {PANEL} lies outside the panel, "
-            f"({low[0]:.3f}, {low[1]:.3f}) to ({high[0]:.3f}, {high[1]:.3f}) m"
+            Message(
+                "target.point_lies_outside_panel",
+                point=point[0],
+                point_2=point[1],
+                panel=PANEL,
+                low=low[0],
+                low_2=low[1],
+                high=high[0],
+                high_2=high[1],
+            )
         )
     for contact in contacts:
         sinks = control is not None and control.kind in SINKING
@@ -202,7 +213,7 @@ def with_two_positions(touch: Touch, down_m: float) -> Touch:
         If the touch needs a longer stylus.
     """
     if -touch.touch_z > down_m:
-        raise Refused(f"the touch needs an extension of {-touch.touch_z:.4f} m, the stylus reaches {down_m:.4f} m")
+        raise Refused(Message("target.touch_needs_extension_stylus_reaches", touch_z_m=-touch.touch_z, down_m=down_m))
     arc = touch.arc.copy()
     arc[:, 2] = -down_m
     return dataclasses.replace(touch, hover_z=0.0, touch_z=-down_m, arc=arc)
@@ -237,16 +248,24 @@ def dimple_points(
     play = dimple.diameter_mm / 2000 - wide
     if play <= 0:
         raise Refused(
-            f"the dimple of {control.name} is {dimple.diameter_mm:g} mm wide, the stylus needs more than "
-            f"{2000 * wide:.1f} mm to reach its bottom"
+            Message(
+                "target.dimple_wide_stylus_needs_more",
+                control=control.name,
+                diameter_mm=dimple.diameter_mm,
+                wide_mm=2000 * wide,
+            )
         )
     x, y = (value / 1000 for value in dimple.place_mm)
     radius = math.hypot(x, y)
     play_deg = math.degrees(2 * math.asin(min(play / (2 * radius), 1.0)))
     if play_deg > MOST_BIAS_DEG:
         raise Refused(
-            f"the stylus has {play_deg:.1f} degrees of play in the dimple of {control.name}, at most {MOST_BIAS_DEG:g} "
-            "can be made up for"
+            Message(
+                "target.stylus_degrees_play_dimple_most",
+                play_deg=play_deg,
+                control=control.name,
+                most_bias_deg=MOST_BIAS_DEG,
+            )
         )
     angles = math.atan2(y, x) + np.radians(knob_deg + angle_deg * _shares(angle_deg, config))
     return _around(control, radius, angles, control.height - depth)
@@ -267,12 +286,12 @@ def _around(control: PanelControl, radius: float, angles: Array, height: float) 
 def _drag_points(start: Array, control: PanelControl | None, to: Point, scene: Scene) -> Array:
     """Return (N, 3) surface points of a drag, the start first, no farther apart than DRAG_STEP_M."""
     if control is None or control.kind not in DRAGGABLE:
-        name = "the bare face" if control is None else f"{control.name}, a {control.kind}"
-        raise Refused(f"a drag begins on {name}; only on a touch_area can be dragged")
+        name = Message("target.bare_face") if control is None else f"{control.name}, a {control.kind}"
+        raise Refused(Message("target.drag_begins_only_touch_area", name=name))
     end, other = _surface(to, scene)
     if other is not control:
-        name = "the bare face" if other is None else other.name
-        raise Refused(f"the drag begins on {control.name} and ends on {name}; it must stay on one")
+        name = Message("target.bare_face") if other is None else other.name
+        raise Refused(Message("target.drag_begins_ends_must_stay", control=control.name, name=name))
     steps = max(1, math.ceil(float(np.linalg.norm(end - start)) / DRAG_STEP_M))
     share = np.linspace(0.0, 1.0, steps + 1)[:, np.newaxis]
     return np.asarray(start + share * (end - start))
@@ -302,11 +321,13 @@ def _surface(target: str | Point, scene: Scene) -> tuple[Array, PanelControl | N
         width, height = scene.camera.size
         # Pixel centres are whole numbers, so the image extends half a pixel further.
         if not (-0.5 <= target.x <= width - 0.5 and -0.5 <= target.y <= height - 0.5):
-            raise Refused(f"pixel ({target.x:g}, {target.y:g}) lies outside the picture of {width} x {height}")
+            raise Refused(
+                Message("target.pixel_lies_outside_picture", x=target.x, y=target.y, width=width, height=height)
+            )
         ray = scene.camera.rays([[target.x, target.y]])[0]
         panel_from_camera = scene.camera_from_panel.inverse()
         return scene.first_hit(panel_from_camera.translation, panel_from_camera.rotation @ ray)
-    raise Refused(f"frame {target.frame!r} is none of {', '.join(FRAMES)}")
+    raise Refused(Message("goal.frame_none", frame=quoted(target.frame), frames=", ".join(FRAMES)))
 
 
 def _check_sides(
@@ -320,8 +341,13 @@ def _check_sides(
         gap = other.gap(contact[:2])
         if gap < needed:
             raise Refused(
-                f"the point is {1000 * gap:.1f} mm beside {other.name} ({1000 * other.height:.0f} mm high), "
-                f"{1000 * needed:.1f} mm are needed"
+                Message(
+                    "target.point_beside_high_needed",
+                    gap_mm=1000 * gap,
+                    other=other.name,
+                    height_mm=1000 * other.height,
+                    needed_mm=1000 * needed,
+                )
             )
 
 

@@ -9,6 +9,7 @@ from gantry_driver.core.job.goal_job import Obstacle
 from icu_common.core.alignment.findings import Finding, FindingCode
 from icu_common.core.alignment.pair import PairCode, PairState
 from icu_common.core.reasons.codes import ControllerCode
+from icu_common.core.reasons.state_text import because
 
 _CODES = {
     FindingCode.CAMERA_MOVED: ControllerCode.CAMERA_MOVED,
@@ -45,7 +46,7 @@ def pair_obstacles(finding: Finding | None) -> Iterator[Obstacle]:
         passing = finding.code is not FindingCode.CAMERA_MOVED
         yield Obstacle(
             code=_CODES[finding.code],
-            state=f"waiting: {finding.text()}",
+            state=because("waiting", finding.text()),
             reason=finding.text(),
             every_goal=False,
             passing=passing,

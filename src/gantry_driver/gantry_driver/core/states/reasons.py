@@ -8,6 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from icu_common.core.reasons.codes import DriverCode
+from icu_common.core.reasons.message import Message
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -22,7 +23,7 @@ class Reason:
 
 
 Why = Reason | str
-STOP_REQUESTED = Reason(code=DriverCode.STOP_REQUESTED, text="stop requested")
+STOP_REQUESTED = Reason(code=DriverCode.STOP_REQUESTED, text=Message("driver.stop_requested"))
 
 
 def code_of(why: Why) -> str:

@@ -9,13 +9,15 @@ from __future__ import annotations
 
 from enum import Enum, auto
 
+from icu_common.core.reasons.message import Message, parts
+
 STYLUS_DOWN_M = 0.0005
 """Extension above which the stylus may touch something and is lifted after a stop."""
-MAY_PRESS = "the stylus was not lifted, it may still press"
-MAY_SINK = "the servo may be without pulses and sink, the stylus may press"
-IS_RELEASED = "the solenoid is without power, the stylus is up"
-CLAUSE = "; "
-"""Separator between the clauses of a state's reason; how the stylus was left is a separate clause."""
+MAY_PRESS = Message("stylus.stylus_not_lifted_may_still")
+MAY_SINK = Message("stylus.servo_may_without_pulses_sink")
+IS_RELEASED = Message("stylus.solenoid_without_power_stylus_up")
+LEFT = frozenset(message.code for message in (MAY_PRESS, MAY_SINK, IS_RELEASED))
+"""Codes of the clauses of a state's reason that tell how the stylus was left."""
 
 
 class Stylus(Enum):
@@ -110,11 +112,12 @@ def tells_of_stylus(state_text: str) -> bool:
 
     Examples
     --------
-    >>> tells_of_stylus(f"unhomed: {MAY_SINK}"), tells_of_stylus("unhomed: the cable may press on it")
-    (True, False)
+    >>> tells_of_stylus(Message("state.because", state="unhomed", reason=MAY_SINK))
+    True
+    >>> tells_of_stylus("unhomed: the cable may press on it")
+    False
     """
-    reason = state_text.partition(": ")[2]
-    return not {MAY_PRESS, MAY_SINK, IS_RELEASED}.isdisjoint(reason.split(CLAUSE))
+    return not LEFT.isdisjoint(part.code for part in parts(state_text))
 
 
 def _extended(extension_m: float | None) -> bool:

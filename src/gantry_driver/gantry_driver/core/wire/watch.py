@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 from gantry_driver.core.configuration.clearance import TUBE_MM
 from gantry_driver.core.program.polyline import Polyline
+from icu_common.core.reasons.message import Message
 
 Vector = tuple[float, float, float]
 
@@ -66,8 +67,10 @@ class Deviation:
         """Return the deviation for people."""
         place = ", ".join(f"{value:.3f}" for value in self.at_mm)
         if self.off_mm > 0.0:
-            return f"it reports MPos {place} mm, {self.off_mm:.2f} mm off (limit {TUBE_MM:g} mm)"
-        return f"it reports a feed of {self.feed_mm_min:.0f} mm/min (limit {self.feed_limit_mm_min:.0f} mm/min)"
+            return Message("link.reports_mpos_off_limit", place_mm=place, off_mm=self.off_mm, tube_mm=TUBE_MM)
+        return Message(
+            "link.reports_feed_min_limit_min", feed_mm_min=self.feed_mm_min, feed_limit_mm_min=self.feed_limit_mm_min
+        )
 
     def details(self) -> tuple[tuple[str, str], ...]:
         """Return the values as pairs for ``GoalResult.details``."""

@@ -9,6 +9,7 @@ import numpy as np
 from harris_perception.core.cameras.board import Board
 from harris_perception.core.cameras.board_detection import BoardView
 from harris_perception.core.cameras.view_coverage import Reach, coverage, is_still, view_place
+from icu_common.core.reasons.message import Message, joined
 
 _DIFFERENCE = 0.2  # summed over x, y, size and skew, as in ROS's camera_calibration
 
@@ -35,13 +36,17 @@ class ViewCollection:
         found = [view for view in views if view is not None]
         if len(found) < len(views):
             self._last = None
-            return "the board is not seen whole" if len(views) == 1 else "the board is not seen by both cameras"
+            return (
+                Message("views.board_not_seen_whole")
+                if len(views) == 1
+                else Message("views.board_not_seen_both_cameras")
+            )
         last, self._last = self._last, found[0]
         if last is None or not is_still(last, found[0]):
-            return "hold the board still"
+            return Message("views.hold_board_still")
         place = view_place(self.board, found[0])
         if self._places and min(np.abs(place - other).sum() for other in self._places) < _DIFFERENCE:
-            return "hold the board differently"
+            return Message("views.hold_board_differently")
         self._places.append(place)
         self.kept.append(tuple(found))
         return ""
@@ -59,5 +64,7 @@ class ViewCollection:
     @property
     def progress(self) -> str:
         """Progress and the next step, in one line."""
-        missing = [reach.missing for reach in self.reaches if reach.missing] if self.kept else ["show the board"]
-        return f"{len(self.kept)}/{self.wanted} views" + (f"; {'; '.join(missing)}" if missing else "")
+        missing = (
+            [reach.missing for reach in self.reaches if reach.missing] if self.kept else [Message("views.show_board")]
+        )
+        return joined([Message("views.views", kept=len(self.kept), wanted=self.wanted), *missing])

@@ -11,6 +11,7 @@ import numpy as np
 from harris_perception.core.cameras.board import Board
 from harris_perception.core.cameras.board_detection import BoardView
 from icu_common.core.geometry.geometry import Array
+from icu_common.core.reasons.message import Message, joined
 
 _STILL_PX = 2.0
 
@@ -85,22 +86,24 @@ def view_place(board: Board, view: BoardView) -> Array:
 def coverage(board: Board, views: Sequence[BoardView]) -> tuple[Reach, ...]:
     """Return the coverage in x, y, size and skew (the four of ROS's camera_calibration)."""
     if not views:
-        return tuple(Reach(name=n, low=0.0, high=0.0, missing="show the board") for n in ("x", "y", "size", "skew"))
+        return tuple(
+            Reach(name=n, low=0.0, high=0.0, missing=Message("views.show_board")) for n in ("x", "y", "size", "skew")
+        )
     seen = np.vstack([view.xy / view.size for view in views])
     places = np.array([view_place(board, view) for view in views])
     reaches = []
     for axis, (name, sides) in enumerate((("x", ("left", "right")), ("y", ("upper", "lower")))):
         low, high = float(seen[:, axis].min()), float(seen[:, axis].max())
         needed = [side for side, open_ in zip(sides, (low > 0.12, high < 0.88)) if open_]
-        missing = f"show the board nearer to the picture's {' and '.join(needed)} edge" if needed else ""
+        missing = Message("views.show_board_nearer_picture_edge", needed=joined(needed, "text.both")) if needed else ""
         reaches.append(Reach(name=name, low=low, high=high, missing=missing))
     low, high = float(places[:, 2].min()), float(places[:, 2].max())
-    missing = "show the board from farther away" if high - low < 0.12 and low > 0.3 else ""
-    missing = "show the board from nearer, filling half of the picture" if high < 0.4 else missing
+    missing = Message("views.show_board_farther_away") if high - low < 0.12 and low > 0.3 else ""
+    missing = Message("views.show_board_nearer_filling_half") if high < 0.4 else missing
     reaches.append(Reach(name="size", low=low, high=high, missing=missing))
     low, high = float(places[:, 3].min()), float(places[:, 3].max())
     tilted = int((places[:, 3] > 0.25).sum())
-    missing = "" if tilted >= 4 else f"tilt the board by 20 to 45 degrees in different directions ({tilted} of 4 views)"
+    missing = "" if tilted >= 4 else Message("views.tilt_board_20_45_degrees", tilted=tilted)
     reaches.append(Reach(name="skew", low=low, high=high, missing=missing))
     return tuple(reaches)
 

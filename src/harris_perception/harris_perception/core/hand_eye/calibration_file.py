@@ -15,6 +15,7 @@ from harris_perception.core.hand_eye.carriage_camera import shifted
 from harris_perception.core.hand_eye.machine_axes import axes_skew
 from icu_common.core.geometry.camera_model import CameraModel
 from icu_common.core.geometry.geometry import Array, Transform
+from icu_common.core.reasons.message import Message, joined, quoted
 
 FORMAT = 2
 _FARTHEST_M = 20.0
@@ -98,11 +99,18 @@ class StoredCalibration:
 
     def summary(self) -> str:
         """Return one line for people."""
-        held = "" if np.isnan(self.held_out_m) else f", held-out {self.held_out_m * 1e3:.2f} mm"
-        where = ", cameras on the carriage" if self.on_carriage else ""
-        return (
-            f"{self.samples} samples{where}, rms {self.rms_m * 1e3:.3f} mm{held}, "
-            f"predicted {self.sigma_m * 1e3:.3f} mm, {self.made_at}"
+        held = (
+            "" if np.isnan(self.held_out_m) else Message("calibration.held_out", held_out_mm=self.held_out_m * 1000.0)
+        )
+        where = Message("calibration.cameras_carriage") if self.on_carriage else ""
+        return Message(
+            "calibration.samples_rms_predicted",
+            samples=self.samples,
+            where=where,
+            rms_mm=self.rms_m * 1000.0,
+            held=held,
+            sigma_mm=self.sigma_m * 1000.0,
+            made_at=self.made_at,
         )
 
     def values(self) -> list[tuple[str, str]]:
@@ -177,10 +185,10 @@ def load(path: Path) -> StoredCalibration:
     try:
         document: Any = yaml.safe_load(path.read_text(encoding="utf-8"))
         if not isinstance(document, dict) or document.get("format") != FORMAT:
-            raise CalibrationFileError(f"format {FORMAT} is needed")
+            raise CalibrationFileError(Message("calibration.format_needed", format=FORMAT))
         axes = _numbers(document, "base_from_reading", (2, 2))
         if not np.linalg.det(axes) > 0:
-            raise CalibrationFileError(f"base_from_reading {axes.tolist()} cannot be inverted")
+            raise CalibrationFileError(Message("calibration.base_reading_cannot_inverted", axes=axes.tolist()))
         panel, right = (document[key] is not None for key in ("base_from_panel", "right_camera"))
         return StoredCalibration(
             camera_from_base=_part(document, "camera_from_base", _pose_of),
@@ -202,7 +210,7 @@ def load(path: Path) -> StoredCalibration:
             contact_offset_m=_numbers(document, "contact_offset_m", (3,), known=False),
         )
     except (KeyError, TypeError, ValueError, OverflowError, yaml.YAMLError) as error:
-        raise CalibrationFileError(f"{path}: not a hand-eye calibration: {error}") from error
+        raise CalibrationFileError(Message("calibration.not_hand_eye_calibration", path=path, error=error)) from error
 
 
 def check_fits(
@@ -232,29 +240,48 @@ def check_fits(
         If something differs; the message names the difference.
     """
     if machine != calibration.machine:
-        raise CalibrationFileError(f"it was made for machine {calibration.machine!r}, this one is {machine!r}")
+        raise CalibrationFileError(
+            Message("calibration.made_machine_one", machine=quoted(calibration.machine), machine_2=quoted(machine))
+        )
     if settings and calibration.settings and settings != calibration.settings:
         old_values, new_values = (
             {name: value for name, _, value in (part.partition("=") for part in text.split())}
             for text in (calibration.settings, settings)
         )
         changed = [k for k in sorted({*old_values, *new_values}) if old_values.get(k) != new_values.get(k)]
-        texts = [f"{k} was {old_values.get(k, 'unknown')}, now {new_values.get(k, 'unknown')}" for k in changed]
-        raise CalibrationFileError(f"the machine's settings have changed since it was made: {'; '.join(texts)}")
+        texts = [
+            Message(
+                "calibration.now", k=k, old_values=old_values.get(k, "unknown"), new_values=new_values.get(k, "unknown")
+            )
+            for k in changed
+        ]
+        raise CalibrationFileError(Message("calibration.machine_settings_changed_since_made", texts=joined(texts)))
     if mounting and mounting != calibration.mounting:
-        raise CalibrationFileError(f"it was made with cameras mounted {calibration.mounting!r}, now it is {mounting!r}")
+        raise CalibrationFileError(
+            Message(
+                "calibration.made_cameras_mounted_now",
+                mounting=quoted(calibration.mounting),
+                mounting_2=quoted(mounting),
+            )
+        )
     for name, old, new in (("left", calibration.left, left), ("right", calibration.right, right)):
         if old is None or new is None:
             continue
         if old.size != new.size:
             raise CalibrationFileError(
-                f"it was made with a {name} picture of {old.width} x {old.height} px, now it has "
-                f"{new.width} x {new.height} px"
+                Message(
+                    "calibration.made_picture_now",
+                    name=name,
+                    width=old.width,
+                    height_px=old.height,
+                    width_2=new.width,
+                    height_2_px=new.height,
+                )
             )
         change = _difference_px(old, new)
         if not change <= _ALIKE_PX:
             raise CalibrationFileError(
-                f"the {name} camera's calibration has changed by {change:.2f} px since it was made"
+                Message("calibration.camera_calibration_changed_since_made", name=name, change_px=change)
             )
 
 
@@ -293,11 +320,11 @@ def _part(document: Any, key: str, build: Callable[[Any], _T]) -> _T:
     """Return the object built from a key's mapping; errors name the key."""
     part = document[key]
     if not isinstance(part, dict):
-        raise CalibrationFileError(f"{key} = {part!r}: a mapping is needed")
+        raise CalibrationFileError(Message("calibration.mapping_needed", key=key, part=quoted(part)))
     try:
         return build(part)
     except KeyError as error:
-        raise CalibrationFileError(f"{key}: {error} is missing") from error
+        raise CalibrationFileError(Message("calibration.missing", key=key, error=error)) from error
     except (TypeError, ValueError, OverflowError) as error:
         raise CalibrationFileError(f"{key}: {error}") from error
 
@@ -305,28 +332,30 @@ def _part(document: Any, key: str, build: Callable[[Any], _T]) -> _T:
 def _pose_of(document: Any) -> Transform:
     shift = _numbers(document, "translation_m", (3,))
     if not np.linalg.norm(shift) <= _FARTHEST_M:
-        raise CalibrationFileError(f"translation_m = {shift.tolist()}: at most {_FARTHEST_M:g} m are possible")
+        raise CalibrationFileError(
+            Message("calibration.translation_most_possible", shift=shift.tolist(), farthest_m=_FARTHEST_M)
+        )
     return Transform(_numbers(document, "rotation", (3, 3)), shift)
 
 
 def _mounting(document: Any) -> str:
     mounting = str(document["mounting"])
     if mounting not in ("fixed", "carriage"):
-        raise CalibrationFileError(f"mounting {mounting!r}: 'fixed' or 'carriage' is needed")
+        raise CalibrationFileError(Message("calibration.mounting_fixed_carriage_needed", mounting=quoted(mounting)))
     return mounting
 
 
 def _error(document: Any, key: str, *, known: bool = True) -> float:
     value = float(_numbers(document, key, (), known=known))
     if value < 0.0:
-        raise CalibrationFileError(f"{key} = {document[key]!r} is below 0")
+        raise CalibrationFileError(Message("calibration.below_0", key=key, document=quoted(document[key])))
     return value
 
 
 def _count(document: Any, key: str) -> int:
     value = document[key]
     if not isinstance(value, int) or isinstance(value, bool) or value < 0:
-        raise CalibrationFileError(f"{key} = {value!r}: a whole number from 0 is needed")
+        raise CalibrationFileError(Message("calibration.whole_number_0_needed", key=key, value=quoted(value)))
     return value
 
 
@@ -338,5 +367,7 @@ def _numbers(document: Any, key: str, shape: tuple[int, ...], *, known: bool = T
     except (TypeError, ValueError):
         value = None
     if value is None or value.shape != shape or np.isinf(value).any() or (known and np.isnan(value).any()):
-        raise CalibrationFileError(f"{key} = {given!r}: finite numbers of shape {shape} are needed")
+        raise CalibrationFileError(
+            Message("calibration.finite_numbers_shape_needed", key=key, given=quoted(given), shape=shape)
+        )
     return value

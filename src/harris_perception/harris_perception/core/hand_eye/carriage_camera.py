@@ -26,6 +26,7 @@ from harris_perception.core.pose.planar_pose import FacePoints
 from harris_perception.core.pose.reprojection import RayError, panel_origin, refine_panel
 from icu_common.core.geometry.camera_model import CameraModel, StereoModel
 from icu_common.core.geometry.geometry import Array, Transform, nearest_rotation
+from icu_common.core.reasons.message import Message
 
 MAX_CONTACTS = 5
 _PANEL_NOISE = 0.00004, 0.0002
@@ -116,12 +117,17 @@ def calibrate_on_carriage(
     """
     config = config if config is not None else HandEyeConfig()
     rotation = _mean_rotation(panels) if panels else np.eye(3)
-    readings, points = checked([_origin(p, rotation) for p in panels], "the panel", config)
+    readings, points = checked([_origin(p, rotation) for p in panels], Message("carriage.panel"), config)
     for p in panels:
         if len(p.points.pixels) < _MIN_POINTS:
             raise DegenerateError(
-                f"only {len(p.points.pixels)} points of the panel were measured at x = {p.reading[0] * 1e3:.0f}, "
-                f"y = {p.reading[1] * 1e3:.0f} mm, {_MIN_POINTS} are needed"
+                Message(
+                    "carriage.only_points_panel_measured_needed",
+                    pixels=len(p.points.pixels),
+                    reading=p.reading[0] * 1000.0,
+                    reading_mm=p.reading[1] * 1000.0,
+                    min_points=_MIN_POINTS,
+                )
             )
     design = np.column_stack([readings[:, :2], np.ones(len(readings))])
     across, along = _PANEL_NOISE
@@ -145,14 +151,14 @@ def calibrate_on_carriage(
     camera_from_axes, axes = split_axes(-fit.regression[0], -fit.regression[1], config)
     if contacts:
         if len(contacts) > MAX_CONTACTS:
-            raise DegenerateError(f"{len(contacts)} contacts, at most {MAX_CONTACTS} are used: start anew")
+            raise DegenerateError(
+                Message("carriage.contacts_most_used_start_anew", contacts=len(contacts), max_contacts=MAX_CONTACTS)
+            )
         tip, origin, direction = _touched(contacts, rotation, camera_from_axes, fit, config)
     elif tips:
         tip, origin, direction = _seen(tips, camera_from_axes, cameras, config)
     else:
-        raise DegenerateError(
-            "nothing tells where the stylus is: let the cameras see its tip, or touch one to five known points"
-        )
+        raise DegenerateError(Message("carriage.nothing_tells_where_stylus_let"))
     if len(tip.regression) == 1:
         check_side(camera_from_axes, points[fit.used].mean(axis=0))
     return HandEye(
@@ -203,7 +209,7 @@ def stylus_offset(
         Without contacts, or with too many.
     """
     if not 1 <= len(contacts) <= MAX_CONTACTS:
-        raise DegenerateError(f"{len(contacts)} contacts, 1 to {MAX_CONTACTS} are needed")
+        raise DegenerateError(Message("carriage.contacts_1_needed", contacts=len(contacts), max_contacts=MAX_CONTACTS))
     base_from_panel = calibration.camera_from_base.inverse() @ camera_from_panel
     touched = base_from_panel.apply(np.array([c.in_panel for c in contacts]))
     expected = calibration.tip_in_base(np.array([c.reading for c in contacts]))
@@ -248,8 +254,11 @@ def _touched(
     rms = float(np.sqrt(np.mean(np.sum((points - mean) ** 2, axis=1))))
     if rms > 4 * config.contact_sigma_m:
         raise DegenerateError(
-            f"the contacts miss one another by {rms * 1e3:.2f} mm rms, {4e3 * config.contact_sigma_m:.2f} mm are "
-            "accepted: check which points were touched"
+            Message(
+                "carriage.contacts_miss_one_another_rms",
+                rms_mm=rms * 1000.0,
+                contact_sigma_mm=4000.0 * config.contact_sigma_m,
+            )
         )
     noise = config.contact_sigma_m**2 * np.eye(3)
     tip = Fit(

@@ -9,6 +9,7 @@ import numpy as np
 from harris_perception.core.hand_eye.hand_eye_config import HandEyeConfig
 from harris_perception.core.hand_eye.tip_samples import Sample, reading_design
 from icu_common.core.geometry.geometry import Array
+from icu_common.core.reasons.message import Message
 
 
 class DegenerateError(ValueError):
@@ -29,12 +30,14 @@ def checked(samples: Sequence[Sample], what: str, config: HandEyeConfig) -> tupl
     """
     if len(samples) < config.min_samples:
         raise DegenerateError(
-            f"{len(samples)} samples, {config.min_samples} are needed: move to another place and add one"
+            Message(
+                "calibration.samples_needed_move_another_place", samples=len(samples), min_samples=config.min_samples
+            )
         )
     readings = np.array([s.reading for s in samples], dtype=np.float64)
     points = np.array([s.tip for s in samples], dtype=np.float64)
     if not (np.isfinite(readings).all() and np.isfinite(points).all()):
-        raise DegenerateError("a sample is not finite")
+        raise DegenerateError(Message("calibration.sample_not_finite"))
     check_motion(readings, points, what, config)
     return readings, points
 
@@ -47,28 +50,33 @@ def check_motion(readings: Array, tips: Array, what: str, config: HandEyeConfig)
     need = config.min_span_m
     if along < 0.001:
         raise DegenerateError(
-            f"the readings do not differ ({along * 1e3:.2f} mm): the gantry did not move; move at least "
-            f"{need * 1e3:.0f} mm in x and in y"
+            Message("calibration.readings_not_differ_gantry_did", along_mm=along * 1000.0, need_mm=need * 1000.0)
         )
     if along < need:
         raise DegenerateError(
-            f"the samples are too close together ({along * 1e3:.1f} mm): move at least "
-            f"{need * 1e3:.0f} mm in x and in y"
+            Message("calibration.samples_too_close_together_move", along_mm=along * 1000.0, need_mm=need * 1000.0)
         )
     if across < need:
         off = 1.05 * need * directions[1] * np.sign(directions[1][np.argmax(np.abs(directions[1]))])
         x, y = (centre + off) * 1e3
-        kind = "lie on one line" if across < 0.1 * need else "hardly leave one line"
+        kind = (
+            Message("calibration.lie_one_line") if across < 0.1 * need else Message("calibration.hardly_leave_one_line")
+        )
         raise DegenerateError(
-            f"the samples {kind} ({along * 1e3:.0f} mm long, {across * 1e3:.1f} mm across): add one near "
-            f"x = {x:.0f}, y = {y:.0f} mm or at least {need * 1e3:.0f} mm off that line"
+            Message(
+                "calibration.samples_long_across_add_one",
+                kind=kind,
+                along_mm=along * 1000.0,
+                across_mm=across * 1000.0,
+                x=x,
+                y_mm=y,
+                need_mm=need * 1000.0,
+            )
         )
     seen = float(np.linalg.norm(tips.max(axis=0) - tips.min(axis=0)))
     if seen < 0.2 * along:
         raise DegenerateError(
-            f"the gantry moved {along * 1e3:.0f} mm but {what} that was seen only {seen * 1e3:.1f} mm: what is "
-            "tracked is not it, the camera is mounted otherwise, or the drive slips; look at the picture before "
-            "moving again"
+            Message("calibration.gantry_moved_but_seen_only", along_mm=along * 1000.0, what=what, seen_mm=seen * 1000.0)
         )
 
 
@@ -79,7 +87,9 @@ def check_extensions(readings: Array, config: HandEyeConfig) -> None:
     own = readings[:, 2] - flat @ fitted
     if np.ptp(own) < 0.5 * config.min_stylus_span_m:
         raise DegenerateError(
-            f"the stylus extension changes together with x and y (own part {np.ptp(own) * 1e3:.2f} mm): add a "
-            "sample at the same x and y with the stylus "
-            f"{config.min_stylus_span_m * 1e3:.0f} mm further in or out"
+            Message(
+                "calibration.stylus_extension_changes_together_own",
+                ptp_mm=np.ptp(own) * 1000.0,
+                min_stylus_span_mm=config.min_stylus_span_m * 1000.0,
+            )
         )

@@ -10,6 +10,7 @@ from harris_perception.core.hand_eye.calibration_file import StoredCalibration
 from harris_perception.core.hand_eye.tip_samples import Sample
 from icu_common.core.configuration.config import Config, setting
 from icu_common.core.geometry.geometry import Array, Transform
+from icu_common.core.reasons.message import Message, joined
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -66,7 +67,7 @@ class DriftWatch:
         """Add a pose of the panel at rest and its controls' positions (3,) m in panel_link."""
         if self._panel is None:
             self._panel = base_from_panel
-        names = list(controls) or ["the panel's corner"]
+        names = list(controls) or [Message("drift.panel_corner")]
         places = np.array(list(controls.values())) if controls else np.zeros((1, 3))
         off = np.linalg.norm(base_from_panel.apply(places) - self._panel.apply(places), axis=1)
         worst = int(np.argmax(off))
@@ -84,14 +85,16 @@ class DriftWatch:
         tip, panel = self.off
         parts = []
         if tip:
-            parts.append(f"the tip is seen {self.tip_m * 1e3:.1f} mm from its calibrated place")
+            parts.append(Message("drift.tip_seen_calibrated_place", tip_mm=self.tip_m * 1000.0))
         if panel:
-            parts.append(f"{self._control} is seen {self.control_m * 1e3:.1f} mm from its place at the calibration")
+            parts.append(
+                Message("drift.seen_place_calibration", control=self._control, control_mm=self.control_m * 1000.0)
+            )
         if not parts:
             return ""
         advice = (
-            "a camera or the machine has moved: calibrate again"
+            Message("drift.camera_machine_moved_calibrate_again")
             if tip
-            else "the panel has moved, or a camera; look, and calibrate again if it was a camera"
+            else Message("drift.panel_moved_camera_look_calibrate")
         )
-        return f"{' and '.join(parts)}: {advice}"
+        return Message("text.more", first=joined(parts, "text.both"), second=advice)

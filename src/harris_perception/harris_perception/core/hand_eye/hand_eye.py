@@ -27,6 +27,7 @@ from harris_perception.core.hand_eye.tip_samples import Place, Sample, extension
 from harris_perception.core.pose.reprojection import pair_pixels
 from icu_common.core.geometry.camera_model import StereoModel
 from icu_common.core.geometry.geometry import Array, Transform
+from icu_common.core.reasons.message import Message
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -124,13 +125,13 @@ def calibrate(samples: Sequence[Sample], cameras: StereoModel, config: HandEyeCo
         fit, and implausible axes or stylus.
     """
     config = config if config is not None else HandEyeConfig()
-    readings, tips = checked(samples, "the tip", config)
+    readings, tips = checked(samples, Message("calibration.tip"), config)
     with_stylus = bool(np.ptp(readings[:, 2]) >= config.min_stylus_span_m)
     if with_stylus:
         check_extensions(readings, config)
     places = len(np.unique(np.round(readings[:, :2], 4), axis=0))
     fit = fit_tip(reading_design(readings, with_stylus), samples, places, cameras, config)
-    check_motion(readings[fit.used], tips[fit.used], "the tip", config)
+    check_motion(readings[fit.used], tips[fit.used], Message("calibration.tip"), config)
     rotation, axes = split_axes(fit.regression[0], fit.regression[1], config)
     stylus, origin = np.array([0.0, 0.0, -1.0]), fit.regression[-1]
     if with_stylus:

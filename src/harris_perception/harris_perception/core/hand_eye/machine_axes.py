@@ -7,6 +7,7 @@ import numpy as np
 from harris_perception.core.hand_eye.degeneracy import DegenerateError
 from harris_perception.core.hand_eye.hand_eye_config import HandEyeConfig
 from icu_common.core.geometry.geometry import Array, nearest_rotation
+from icu_common.core.reasons.message import Message
 
 
 def split_axes(x_rail: Array, y_rail: Array, config: HandEyeConfig) -> tuple[Array, Array]:
@@ -44,13 +45,19 @@ def check_axes(axes: Array, config: HandEyeConfig) -> None:
     for name, scale in (("x", axes[0, 0]), ("y", axes[1, 1])):
         if abs(scale - 1) > config.max_scale_error:
             raise DegenerateError(
-                f"the {name} axis moves {scale:.3f} m per metre of reading, {1 - config.max_scale_error:.2f} to "
-                f"{1 + config.max_scale_error:.2f} are plausible: check steps per mm and the camera calibration"
+                Message(
+                    "axes.axis_moves_per_metre_reading",
+                    name=name,
+                    scale_m=scale,
+                    max_scale_error=1 - config.max_scale_error,
+                    max_scale_error_2=1 + config.max_scale_error,
+                )
             )
     if abs(skew) > config.max_skew:
         raise DegenerateError(
-            f"the axes miss a right angle by {np.degrees(skew):.1f} degrees, {np.degrees(config.max_skew):.1f} are "
-            "plausible"
+            Message(
+                "axes.axes_miss_right_angle_degrees", degrees_deg=np.degrees(skew), degrees=np.degrees(config.max_skew)
+            )
         )
 
 
@@ -66,10 +73,7 @@ def check_side(camera_from_axes: Array, seen: Array) -> None:
         With the parts that may be reversed.
     """
     if not camera_from_axes[:, 2] @ seen < 0:
-        raise DegenerateError(
-            "x and y do not go as they should: one of them runs backwards, or the two are swapped: move each a little "
-            "and look which it is, before motors or settings are changed"
-        )
+        raise DegenerateError(Message("axes.not_go_they_should_one"))
 
 
 def check_stylus(direction: Array, config: HandEyeConfig) -> None:
@@ -84,19 +88,21 @@ def check_stylus(direction: Array, config: HandEyeConfig) -> None:
     """
     depth, aside = -float(direction[2]), float(np.hypot(*direction[:2]))
     if abs(depth + 1) <= config.max_scale_error:
-        raise DegenerateError(
-            "stylus, x and y do not go as they should: x or y runs backwards, or the two are swapped, or the stylus "
-            "goes up where it should go down: move each a little and look which it is, before motors or settings are "
-            "changed"
-        )
+        raise DegenerateError(Message("axes.stylus_not_go_they_should"))
     if not abs(depth - 1) <= config.max_scale_error:
         raise DegenerateError(
-            f"the stylus moves {depth:.3f} m towards the panel per metre of extension, "
-            f"{1 - config.max_scale_error:.2f} to {1 + config.max_scale_error:.2f} are plausible: check its steps per "
-            "mm, or add samples with the stylus further in and out"
+            Message(
+                "axes.stylus_moves_towards_panel_per",
+                depth_m=depth,
+                max_scale_error=1 - config.max_scale_error,
+                max_scale_error_2=1 + config.max_scale_error,
+            )
         )
     if not np.arctan2(aside, depth) <= config.max_skew:
         raise DegenerateError(
-            f"the stylus leans by {np.degrees(np.arctan2(aside, depth)):.1f} degrees, "
-            f"{np.degrees(config.max_skew):.1f} are plausible: add samples with the stylus further in and out"
+            Message(
+                "axes.stylus_leans_degrees_plausible_add",
+                degrees_deg=np.degrees(np.arctan2(aside, depth)),
+                degrees=np.degrees(config.max_skew),
+            )
         )

@@ -13,6 +13,7 @@ from harris_perception.core.hand_eye.degeneracy import MisfitError
 from harris_perception.core.hand_eye.hand_eye_config import HandEyeConfig
 from harris_perception.core.pose.reprojection import RayError
 from icu_common.core.geometry.geometry import Array
+from icu_common.core.reasons.message import Message
 
 _SUBSETS, _MOST_LISTED = 3000, 200_000
 
@@ -85,8 +86,9 @@ def robust_fit(design: Array, points: Array, shape: Array, config: HandEyeConfig
     rms = misfit_rms(design[used], points[used], regression)
     if rms > config.max_rms_m:
         raise MisfitError(
-            f"the samples miss one another by {rms * 1e3:.2f} mm rms, {config.max_rms_m * 1e3:.2f} mm are accepted: "
-            "check that the tip is seen well and that nothing slips"
+            Message(
+                "calibration.samples_miss_one_another_rms", rms_mm=rms * 1000.0, max_rms_mm=config.max_rms_m * 1000.0
+            )
         )
     return Fit(
         regression=regression,
@@ -158,6 +160,5 @@ def check_left_out(used: npt.NDArray[np.bool_], config: HandEyeConfig) -> None:
     if len(left_out) > config.max_outliers * len(used) or int(used.sum()) < config.min_samples:
         numbers = ", ".join(str(i + 1) for i in left_out)
         raise MisfitError(
-            f"{len(left_out)} of {len(used)} samples do not fit the rest (numbers {numbers}): the cameras measured "
-            "the tip wrongly there, or the drive slipped; take samples in other places, or start again"
+            Message("calibration.samples_not_fit_rest_numbers", left_out=len(left_out), used=len(used), numbers=numbers)
         )

@@ -23,6 +23,8 @@ from harris_perception.core.hand_eye_procedure.calibrator_config import Calibrat
 from harris_perception.core.hand_eye_procedure.conditions import Conditions
 from harris_perception.core.hand_eye_procedure.still_watch import StillWatch
 from icu_common.core.geometry.geometry import Array
+from icu_common.core.reasons.message import Message
+from icu_common.core.reasons.state_text import because
 
 
 class CalibrationInUse:
@@ -46,13 +48,18 @@ class CalibrationInUse:
         if self.stored is not None and self.drift is not None and self.drift.config != config.drift:
             told, self.drift = self.drift.text, DriftWatch(config.drift, self.stored)
             if told and not running:
-                actions += self._state.set(f"calibrated: {self.stored.summary()}")
+                actions += self._state.set(because("calibrated", self.stored.summary()))
         return actions + self.check(now_ns, running=running)
 
     def offer(self, loaded: StoredCalibration) -> list[Action]:
         """Offer the calibration from the file; it is used once the cameras are known."""
         self._loaded = loaded
-        return self._state.set("uncalibrated: waiting for camera_info to check the calibration file")
+        return self._state.set(
+            because(
+                "uncalibrated",
+                Message("calibration.waiting_camera_info_check_calibration"),
+            )
+        )
 
     def use(self, calibration: StoredCalibration, solved: HandEye | None, now_ns: int) -> list[Action]:
         """Use this calibration; ``solved`` is its solution, unless it is from the file."""
@@ -63,7 +70,7 @@ class CalibrationInUse:
             SetSigma(calibration.sigma_m),
             SetAxes(calibration.base_from_reading),
             *self._pose(calibration, now_ns),
-            *self._state.set(f"calibrated: {calibration.summary()}"),
+            *self._state.set(because("calibrated", calibration.summary())),
         ]
 
     def follow_carriage(self, stamp_ns: int) -> list[Action]:
@@ -84,8 +91,12 @@ class CalibrationInUse:
             return []
         self._loaded, self._refused = self.stored, why
         self.stored, self._solved, self.drift = None, None, None
-        reason = f"the calibration in use is refused: {why}"
-        return [SetAxes(None), Note("error", reason), *self._state.set(f"failed: {reason}")]
+        reason = Message("calibration.calibration_use_refused", why=why)
+        return [
+            SetAxes(None),
+            Note("error", reason),
+            *self._state.set(because("failed", reason)),
+        ]
 
     def check(self, now_ns: int, *, running: bool) -> list[Action]:
         """Check again whether the calibration in use, or else the waiting one, fits the conditions."""
@@ -115,8 +126,8 @@ class CalibrationInUse:
             if str(error) == self._refused:
                 return []
             self._refused = str(error)
-            reason = f"the stored calibration is refused: {error}"
-            return [Note("error", reason), *self._state.set(f"failed: {reason}")]
+            reason = Message("calibration.stored_calibration_refused", error=error)
+            return [Note("error", reason), *self._state.set(because("failed", reason))]
         return self.use(loaded, None, now_ns)
 
     def drifted(self, *, running: bool) -> str:
@@ -143,10 +154,13 @@ class CalibrationInUse:
         text = self.drift.text
         if self.drift.off == before:
             return []
-        note = Note("warn", text) if text else Note("info", "everything is seen in its place again")
+        note = Note("warn", text) if text else Note("info", Message("drift.none_any_more"))
+        summary = self.stored.summary()
         return [
             note,
-            *self._state.set(f"calibrated: {self.stored.summary()}" + (f"; drift: {text}" if text else "")),
+            *self._state.set(
+                because("calibrated", Message("calibration.drifted", summary=summary, drift=text) if text else summary)
+            ),
         ]
 
     def values(self, *, running: bool) -> list[tuple[str, Any]]:

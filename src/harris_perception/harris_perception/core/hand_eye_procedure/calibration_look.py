@@ -17,6 +17,7 @@ from harris_perception.core.hand_eye_procedure.calibration_tour import Stop
 from harris_perception.core.hand_eye_procedure.still_watch import NO_READINGS, StillConfig, panel_sample_of, sample_of
 from harris_perception.core.pose.planar_pose import FacePoints
 from icu_common.core.geometry.geometry import Array, Transform
+from icu_common.core.reasons.message import Message
 
 FEWEST = 2
 """Minimum number of sightings for a sample if the tip was not seen in one of the images."""
@@ -124,17 +125,17 @@ class Look:
         if self._see_tip:
             tips = self.tips
             if max(images, len(tips)) < still.tips:
-                return f"the tip was seen {len(tips)} of {still.tips} times while the machine stood still"
+                return Message("calibration.tip_seen_times_while_machine", tips=len(tips), tips_2=still.tips)
             if isinstance(sample := self._sample(), str):
                 return sample
         if self._see_panel and len(self._poses) < still.panels:
-            return f"the panel was seen {len(self._poses)} of {still.panels} times while the machine stood still"
+            return Message("calibration.panel_seen_times_while_machine", poses=len(self._poses), panels=still.panels)
         return ""
 
     def _sample(self) -> Sample | str:
         tips = self.tips
         if len(tips) < FEWEST:
-            return f"the tip was seen {len(tips)} of {self._still.tips} times while the machine stood still"
+            return Message("calibration.tip_seen_times_while_machine", tips=len(tips), tips_2=self._still.tips)
         assert self._reading is not None
         return sample_of(tips, self._reading, self._still)
 
@@ -157,7 +158,7 @@ class Look:
             tip = sample
         if self._see_panel:
             if len(self._poses) < self._still.panels:
-                return self.lacks() or "it was seen too late"
+                return self.lacks() or Message("calibration.seen_too_late")
             assert self._reading is not None
             panel = panel_sample_of(self._poses, self._reading)
         return Seen(tip, panel)
@@ -168,8 +169,8 @@ class Look:
             return ""
         waited_s = (now_ns - self._from_ns) / _NANO
         if any(map(self._counts, self._images)):
-            return f"no image of the resting machine was evaluated for {waited_s:.1f} s"
-        return f"no image of the resting machine arrived for {waited_s:.1f} s"
+            return Message("calibration.no_image_resting_machine_evaluated", waited_s=waited_s)
+        return Message("calibration.no_image_resting_machine_arrived", waited_s=waited_s)
 
 
 def _stamp(item: tuple[int, object]) -> int:
@@ -202,4 +203,4 @@ class Patience:
 
     def note(self, late: str) -> str:
         """Return what is late, and the retry count, for people."""
-        return f"{late}; repetition {self._step} of {self._config.retries}"
+        return Message("calibration.repetition", late=late, step=self._step, retries=self._config.retries)

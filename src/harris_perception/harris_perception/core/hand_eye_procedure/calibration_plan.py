@@ -21,6 +21,7 @@ from harris_perception.core.hand_eye_procedure.calibration_tour import (
 )
 from icu_common.core.configuration.config import Config, ConfigError, setting
 from icu_common.core.geometry.geometry import Array
+from icu_common.core.reasons.message import Message
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -166,7 +167,9 @@ def check_plan(config: RunConfig, solver: HandEyeConfig) -> None:
         Like the solver at the end of the run.
     """
     readings = readings_of([stop for stops in _grid(config, True) for stop in stops])
-    checked([Sample(reading=r, tip=r, covariance=np.zeros((3, 3))) for r in readings], "the tip", solver)
+    checked(
+        [Sample(reading=r, tip=r, covariance=np.zeros((3, 3))) for r in readings], Message("calibration.tip"), solver
+    )
 
 
 def corners(config: RunConfig) -> Array:

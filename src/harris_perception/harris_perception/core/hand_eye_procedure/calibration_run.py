@@ -27,12 +27,10 @@ from harris_perception.core.pose.planar_pose import FacePoints
 from icu_common.core.geometry.camera_model import StereoModel
 from icu_common.core.geometry.geometry import Array, Transform
 from icu_common.core.goals.results import GoalResult, Outcome
+from icu_common.core.reasons.message import Message, joined, quoted
 from icu_common.core.reasons.state_text import state_name
 
-_NEVER_SEEN = (
-    "the tip was nowhere seen by both cameras: are left and right swapped, is one upside down, out of focus, or is the "
-    "ball another one? The stylus tracker's diagnostics say more"
-)
+_NEVER_SEEN = Message("calibration.tip_nowhere_seen_both_cameras")
 _LATE = ("stale", "late_image", "slow")
 """Codes of a goal's result that mean that something was late, and nothing is wrong."""
 _PAUSE_S = 0.25
@@ -121,7 +119,11 @@ class CalibrationRun:
 
     def driver_state(self, text: str) -> list[Action]:
         """Set the driver's state; any state other than idle and moving ends the run."""
-        return [] if self.over or state_name(text) in _FINE else self._fail(f"the driver says {text!r}")
+        return (
+            []
+            if self.over or state_name(text) in _FINE
+            else self._fail(Message("calibration.driver_says", text=quoted(text)))
+        )
 
     def pair(self, stamp_ns: int, rotation_rad: Array) -> None:
         """Set the rotation (3,) rad of the right camera with which tips after ``stamp_ns`` are measured."""
@@ -144,13 +146,13 @@ class CalibrationRun:
             return self._arrive(stop, now_ns)
         if result.outcome is Outcome.REJECTED and self._accepted not in ("", result.goal_id):
             return []  # another goal for this stop is running, so the controller is busy
-        reason = result.reason or "no reason given"
+        reason = result.reason or Message("controller.no_reason_given")
         if result.code in _LATE and self._patience.again():
             self._accepted, self._pausing = "", True
             self._deadline_ns = now_ns + self._patience.limit_ns(_PAUSE_S)
             return [self._progress(now_ns, self._patience.note(reason))]
-        where = f"x = {stop.x * 1e3:.0f}, y = {stop.y * 1e3:.0f}, z = {stop.z * 1e3:.0f} mm"
-        return self._fail(f"the goal {where} was {result.outcome.value}: {reason}")
+        where = Message("calibration.z", x=stop.x * 1000.0, y=stop.y * 1000.0, z_mm=stop.z * 1000.0)
+        return self._fail(Message("calibration.goal", where=where, outcome=result.outcome.value, reason=reason))
 
     def _arrive(self, stop: Stop, now_ns: int) -> list[Action]:
         self._arrived, self._pausing = True, False
@@ -236,8 +238,14 @@ class CalibrationRun:
         self._missed.append(why)
         if len(self._missed) <= self._config.max_missed * self._places:
             return []
-        missed = f"{len(self._missed)} of {self._places} places gave no sample; last: {why}"
-        return self._fail(missed if self._clearance.known or not self._see_tip else f"{missed}; {_NEVER_SEEN}")
+        missed = Message(
+            "calibration.places_gave_no_sample_last", missed=len(self._missed), places=self._places, why=why
+        )
+        return self._fail(
+            missed
+            if self._clearance.known or not self._see_tip
+            else Message("text.and_also", first=missed, second=_NEVER_SEEN)
+        )
 
     def tick(self, now_ns: int) -> list[Action]:
         """Check the deadline."""
@@ -261,7 +269,9 @@ class CalibrationRun:
         config = self._config
         limit_s = config.move_timeout_s if self._accepted else config.accept_timeout_s
         waited_s = self._patience.limit_ns(limit_s) * 1e-9
-        late = f"the goal was not {'reached' if self._accepted else 'answered'} within {waited_s:g} s"
+        late = Message(
+            "calibration.goal_not_within", value="reached" if self._accepted else "answered", waited_s=waited_s
+        )
         if not self._patience.again():
             return self._fail(late)
         actions: list[Action] = [self._progress(now_ns, self._patience.note(late))]
@@ -284,7 +294,9 @@ class CalibrationRun:
             return failed
         self._look = None
         missed = look.result()
-        failed = self._miss(late or (missed if isinstance(missed, str) else look.lacks() or "it was seen too late"))
+        failed = self._miss(
+            late or (missed if isinstance(missed, str) else look.lacks() or Message("calibration.seen_too_late"))
+        )
         if failed:
             return failed
         if look.stop.purpose is Purpose.ABOVE:
@@ -330,12 +342,12 @@ class CalibrationRun:
 
     def _progress(self, now_ns: int, late: str = "") -> Progress:
         done = self._done + len(self._missed)
-        notes = [f"{len(self._missed)} missed"] if self._missed else []
+        notes = [Message("calibration.missed", missed=len(self._missed))] if self._missed else []
         # The forecast is for an undisturbed machine; the finished part shows how much slower this one is.
         index = max(self._index, 0)
         spent_s, whole_s = seconds(None, self._stops[:index]), seconds(None, self._stops)
         pace = 1.0 if index < 3 else (now_ns - self._start_ns) * 1e-9 / spent_s
-        return Progress(done, self._places, "; ".join([*notes, *([late] if late else [])]), pace * (whole_s - spent_s))
+        return Progress(done, self._places, joined([*notes, *([late] if late else [])]), pace * (whole_s - spent_s))
 
     # End: solve and check, or add positions where the calibration is inaccurate.
 

@@ -25,6 +25,7 @@ from harris_perception.core.hand_eye_procedure.calibration_tour import BACKLASH,
 from harris_perception.core.hand_eye_procedure.pair_corrections import PairCorrections
 from icu_common.core.geometry.camera_model import StereoModel
 from icu_common.core.geometry.geometry import Array
+from icu_common.core.reasons.message import Message
 
 _EDGE = 1.4
 """Ratio of a tip's variance at the ends of the travel, where the backlash is measured, to that from the misfit at all
@@ -116,7 +117,7 @@ class Samples:
         panels, tips = self._panels_of(Purpose.CHECK), self._tips_of(Purpose.CHECK)
         checks = max(len(panels), len(tips))
         if checks < 2:
-            return Failed(f"only {checks} held-out places gave a sample, 2 are needed to check the result")
+            return Failed(Message("calibration.only_held_out_places_gave", checks=checks))
         if self._see_panel:
             errors = held_out_on_carriage(calibration, panels, self._cameras.left)
         else:
@@ -126,8 +127,12 @@ class Samples:
         if errors.max() > limit_m:
             what = "panel" if self._see_panel else "tip"
             return Failed(
-                f"at a held-out place the {what} was {errors.max() * 1e3:.2f} mm off, "
-                f"{limit_m * 1e3:.2f} mm are accepted"
+                Message(
+                    "calibration.held_out_place_off_accepted",
+                    what=what,
+                    max_mm=errors.max() * 1000.0,
+                    max_held_out_mm=limit_m * 1000.0,
+                )
             )
         whole = self.solve(Purpose.CHECK)
         if isinstance(whole, HandEye):

@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from icu_common.core.geometry.geometry import Array
+from icu_common.core.reasons.message import Message
 
 _TRAVEL_M_S, _STYLUS_M_S = 0.18, 0.05
 """Speeds of the controller's defaults. They determine only an order and a forecast, so a slower machine may keep
@@ -32,10 +33,10 @@ class Purpose(str, Enum):
     ABOVE = "above"
     FIT = "fit"
     CHECK = "check"
-    X_BELOW = "x from below"
-    X_ABOVE = "x from above"
-    Y_BELOW = "y from below"
-    Y_ABOVE = "y from above"
+    X_BELOW = Message("tour.below")
+    X_ABOVE = Message("tour.above")
+    Y_BELOW = Message("tour.below_2")
+    Y_ABOVE = Message("tour.above_2")
     PARK = "park"
 
 

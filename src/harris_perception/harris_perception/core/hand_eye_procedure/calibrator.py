@@ -41,7 +41,8 @@ from icu_common.core.geometry.camera_model import CameraModel
 from icu_common.core.geometry.frames import PANEL
 from icu_common.core.geometry.geometry import Array, Transform
 from icu_common.core.goals.results import GoalResult
-from icu_common.core.reasons.state_text import state_name
+from icu_common.core.reasons.message import Message, quoted
+from icu_common.core.reasons.state_text import as_message, because, state_name
 
 
 class Calibrator:
@@ -108,7 +109,7 @@ class Calibrator:
 
     def close(self) -> list[Action]:
         """Report that a run was interrupted; the controller finishes its goal and then rests."""
-        return self._fail_run("the hand-eye node was stopped")
+        return self._fail_run(Message("calibration.hand_eye_node_stopped"))
 
     # Events.
 
@@ -118,13 +119,13 @@ class Calibrator:
 
     def reject_file(self, reason: str) -> list[Action]:
         """Record that the file cannot be read."""
-        return [Note("error", reason), *self._state.set(f"failed: {reason}")]
+        return [Note("error", reason), *self._state.set(because("failed", reason))]
 
     def take_camera(self, side: str, camera: CameraModel, now_ns: int) -> list[Action]:
         """Set a camera that is new or has changed."""
         actions = []
         if side in self._conditions.cameras:
-            actions = self._forget_seen(f"the {side} camera's calibration has changed meanwhile")
+            actions = self._forget_seen(Message("calibration.camera_calibration_changed_meanwhile", side=side))
         self._conditions.cameras[side] = camera
         return actions + self._check(now_ns)
 
@@ -132,7 +133,7 @@ class Calibrator:
         """Stop using calibrations with a camera that has been replaced by an unknown one."""
         if self._conditions.cameras.pop(side, None) is None:
             return []
-        why = f"the {side} camera's pictures of {width} x {height} px have no calibration"
+        why = Message("calibration.camera_pictures_no_calibration", side=side, width=width, height_px=height)
         actions = self._forget_seen(why)
         return actions + self._in_use.withdraw(why)
 
@@ -218,15 +219,17 @@ class Calibrator:
     def take_contact(self, point: Array, frame: str, now_ns: int) -> list[Action]:
         """Store a contact of the stylus with this point (3,) m of the panel at the present readings."""
         if frame != PANEL or not np.isfinite(point).all():
-            why = f"{point.tolist()} in {frame!r}: a finite point in {PANEL!r} is needed"
+            why: str = Message(
+                "calibration.finite_point_needed", point=point.tolist(), frame=quoted(frame), panel=quoted(PANEL)
+            )
         elif (reading := self._conditions.reading) is None:
             why = NO_READINGS
         elif unrest := self.watch.unrest(now_ns):
             why = unrest
         elif self._run is not None:
-            why = "a calibration is running"
+            why = Message("calibration.calibration_running")
         elif len(self.contacts) >= MAX_CONTACTS:
-            why = f"there are {MAX_CONTACTS} already; solve"
+            why = Message("calibration.already_solve", max_contacts=MAX_CONTACTS)
         else:
             ball = np.array([0.0, 0.0, self.config.ball_radius_m])
             self.contacts.append(Contact(reading=reading, in_panel=point + ball))
@@ -256,14 +259,16 @@ class Calibrator:
     def run(self, now_ns: int) -> list[Action]:
         """Start a calibration."""
         if self._run is not None:
-            raise Refused("a calibration is already running")
+            raise Refused(Message("calibration.calibration_already_running"))
         if state_name(self.driver) != "idle":
-            raise Refused(f"the driver says {self.driver!r}: connected, homed and idle is needed")
+            raise Refused(
+                Message("calibration.driver_says_connected_homed_idle", driver=quoted(as_message(self.driver)))
+            )
         cameras, config = self._conditions.pair(), self.config
         try:
             check_plan(config.run, config.solver)
         except DegenerateError as error:
-            raise Refused(f"the run's places do not tell the calibration: {error}") from error
+            raise Refused(Message("calibration.run_places_not_tell_calibration", error=error)) from error
         self.samples.clear()
         self.panels.clear()
         # The controller still converts goals into readings with the calibration that it has.
@@ -276,7 +281,7 @@ class Calibrator:
     def add_sample(self, now_ns: int) -> str:
         """Add a sample of the tip, or the panel, at the present position; return a description for people."""
         if self._run is not None:
-            raise Refused("a calibration is running")
+            raise Refused(Message("calibration.calibration_running"))
         sample = self.watch.sample(now_ns)
         if self._on_carriage:
             panel = self.watch.panel_sample(now_ns)
@@ -290,12 +295,12 @@ class Calibrator:
         elif not self._on_carriage:
             raise Refused(sample)
         x, y, stylus = reading * 1e3
-        return f"sample {count} at readings x = {x:.1f}, y = {y:.1f}, stylus = {stylus:.1f} mm"
+        return Message("calibration.sample_readings_stylus", count=count, x=x, y=y, stylus_mm=stylus)
 
     def solve(self, now_ns: int) -> list[Action]:
         """Calibrate from the added samples."""
         if self._run is not None:
-            raise Refused("a calibration is running")
+            raise Refused(Message("calibration.calibration_running"))
         cameras, solver = self._conditions.pair(), self.config.solver
         try:
             if self._on_carriage:
@@ -317,8 +322,11 @@ class Calibrator:
                 actions.append(event)
             elif isinstance(event, Progress):
                 self._progress = event
-                note = f" ({event.note})" if event.note else ""
-                text = f"calibrating {event.done}/{event.total}, {event.remaining_s:.0f} s left{note}"
+                values = {"done": event.done, "total": event.total, "remaining_s": event.remaining_s}
+                reason = Message("calibration.part", **values)
+                if event.note:
+                    reason = Message("calibration.part_with_note", **values, note=event.note)
+                text = Message("calibration.progress", reason=reason)
                 actions += self._state.set(text)
             elif isinstance(event, Failed):
                 actions += self._fail_run(event.reason)
@@ -330,7 +338,10 @@ class Calibrator:
         if self._run is None:
             return []
         self._run = None
-        return [Note("error", f"calibration failed: {reason}"), *self._state.set(f"failed: {reason}")]
+        return [
+            Note("error", Message("calibration.failed", reason=reason)),
+            *self._state.set(because("failed", reason)),
+        ]
 
     def _finish(self, event: Finished, now_ns: int) -> list[Action]:
         self._run = None

@@ -9,6 +9,7 @@ from harris_perception.core.hand_eye_procedure.calibrator_actions import Refused
 from harris_perception.core.hand_eye_procedure.calibrator_config import CalibratorConfig
 from icu_common.core.geometry.camera_model import CameraModel, StereoModel
 from icu_common.core.geometry.geometry import Array
+from icu_common.core.reasons.message import Message
 
 
 class Conditions:
@@ -29,11 +30,11 @@ class Conditions:
         """
         for side in ("left", "right"):
             if side not in self.cameras:
-                raise Refused(f"no camera_info of the {side} camera has arrived")
+                raise Refused(Message("calibration.no_camera_info_camera_arrived", side=side))
         try:
             return StereoModel(left=self.cameras["left"], right=self.cameras["right"])
         except ValueError as error:
-            raise Refused(f"camera_info: {error}") from error
+            raise Refused(Message("calibration.camera_info", error=error)) from error
 
     def check_fit(self, calibration: StoredCalibration, config: CalibratorConfig) -> None:
         """Reject a calibration that was made under other conditions.

@@ -6,6 +6,7 @@ import numpy as np
 
 from harris_perception.core.hand_eye_procedure.calibration_tour import Stop
 from icu_common.core.geometry.geometry import Array
+from icu_common.core.reasons.message import Message
 
 _WRONG_WAYS = 2
 """Number of successive wrong lowering distances that indicate a faulty stylus, not a wrong sighting."""
@@ -38,7 +39,4 @@ class LoweringCheck:
         self._wrong_ways = self._wrong_ways + 1 if abs(seen_m - way_m) > allowed_m else 0
         if self._wrong_ways < _WRONG_WAYS:
             return ""
-        return (
-            f"lowered by {way_m * 1e3:.1f} mm the tip moved by {seen_m * 1e3:.1f} mm: check the stylus's steps per mm "
-            "($102), whether it is stuck, and the camera calibration"
-        )
+        return Message("calibration.lowered_tip_moved_check_stylus", way_mm=way_m * 1000.0, seen_mm=seen_m * 1000.0)

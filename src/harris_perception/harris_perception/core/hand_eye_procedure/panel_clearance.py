@@ -6,6 +6,7 @@ import numpy as np
 
 from harris_perception.core.hand_eye_procedure.calibration_tour import Stop
 from icu_common.core.geometry.geometry import Array, Transform
+from icu_common.core.reasons.message import Message
 
 _CLEAR_M = 0.001
 """Minimum clearance of the ball above the highest point of the panel: a calibration must not touch anything."""
@@ -71,9 +72,10 @@ class PanelClearance:
         least_m = -_LEAST_PART * stop.z
         if free_m >= least_m:
             return stop._replace(z=-free_m)
-        return (
-            f"lowered by {least_m * 1e3:.1f} mm the stylus could touch the panel, above which its tip is "
-            f"{height_m * 1e3:.1f} mm (the tallest control and the ball take {self._proud_m * 1e3:.1f}): put the "
-            f"instrument {(least_m - free_m) * 1e3:.1f} mm further away, or let run.heights_m and held_out_height_m go "
-            "less far"
+        return Message(
+            "calibration.lowered_stylus_could_touch_panel",
+            least_mm=least_m * 1000.0,
+            height_mm=height_m * 1000.0,
+            proud_m=self._proud_m * 1000.0,
+            least_2_mm=(least_m - free_m) * 1000.0,
         )

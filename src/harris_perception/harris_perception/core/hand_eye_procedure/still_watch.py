@@ -13,8 +13,9 @@ from harris_perception.core.hand_eye.tip_samples import Sample
 from harris_perception.core.pose.planar_pose import FacePoints
 from icu_common.core.configuration.config import Config, setting
 from icu_common.core.geometry.geometry import Array, Transform, mean_pose
+from icu_common.core.reasons.message import Message
 
-NO_READINGS = "no joint_states arrive"
+NO_READINGS = Message("still.no_joint_states_arrive")
 _PANEL_S = 2.0
 """Maximum interval between sightings of a visible panel; recognition may be slow."""
 
@@ -71,7 +72,7 @@ class StillWatch:
             return NO_READINGS
         settle_s = self._config.settle_s
         settled = now_ns - self._since_ns >= settle_s * 1e9
-        return "" if settled else f"the machine has not stood still for {settle_s:g} s"
+        return "" if settled else Message("still.machine_not_stood_still", settle_s=settle_s)
 
     def _fresh_reading(self, now_ns: int) -> Array | None:
         return self._reading if now_ns - self._reading_ns <= self._config.fresh_s * 1e9 else None
@@ -102,7 +103,7 @@ class StillWatch:
         oldest_ns = now_ns - int((config.fresh_s + config.panels * _PANEL_S) * 1e9)
         fresh = [(pose, points) for stamp, pose, points in self._panels if stamp >= oldest_ns and stamp > after_ns]
         if len(fresh) < config.panels:
-            return f"the panel was seen {len(fresh)} of {config.panels} times while the machine stood still"
+            return Message("calibration.panel_seen_times_while_machine", poses=len(fresh), panels=config.panels)
         return panel_sample_of(fresh, reading)
 
     def sample(self, now_ns: int, after_ns: int = 0) -> Sample | str:
@@ -113,7 +114,7 @@ class StillWatch:
         oldest_ns = now_ns - (config.fresh_s + config.tips / 5.0) * 1e9
         fresh = [tip for stamp, tip in self._tips if stamp >= oldest_ns and stamp > after_ns]
         if len(fresh) < config.tips:
-            return f"the tip was seen {len(fresh)} of {config.tips} times while the machine stood still"
+            return Message("calibration.tip_seen_times_while_machine", tips=len(fresh), tips_2=config.tips)
         return sample_of(fresh, reading, config)
 
 
@@ -126,7 +127,9 @@ def sample_of(sightings: Sequence[Array], reading: Array, config: StillConfig) -
     near = tips[distance <= 3.0 * max(float(np.median(distance)), 1e-6)]
     scatter = float(np.sqrt(np.mean(distance**2)))
     if scatter > config.scatter_m:
-        return f"the tip scatters by {scatter * 1e3:.2f} mm, {config.scatter_m * 1e3:.2f} mm are accepted"
+        return Message(
+            "still.tip_scatters_accepted", scatter_mm=scatter * 1000.0, scatter_2_mm=config.scatter_m * 1000.0
+        )
     covariance = np.cov(near.T) / len(near) if len(near) > 1 else np.zeros((3, 3))
     return Sample(reading=reading, tip=near.mean(axis=0), covariance=covariance)
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from icu_common.core.geometry.geometry import Array, Transform
+from icu_common.core.reasons.message import Message
 
 LEAST_POINTS = 30
 LOOKS = 5
@@ -54,9 +55,7 @@ class FaceDepth:
             self.text = self._wrong_text(1e3 * height_m) if off else ""
 
     def _wrong_text(self, height_mm: float) -> str:
-        side = "nearer" if height_mm > 0 else "further away"
-        return (
-            f"both cameras together see the panel {abs(height_mm):.1f} mm {side} than its print says, "
-            f"{self._bound_mm:g} mm are allowed: measure the panel against its layout's size_mm, and calibrate the "
-            "cameras as a pair anew if one may have been turned"
+        side = "nearer" if height_mm > 0 else Message("face.further_away")
+        return Message(
+            "face.both_cameras_together_see_panel", height_mm=abs(height_mm), side=side, bound_mm=self._bound_mm
         )

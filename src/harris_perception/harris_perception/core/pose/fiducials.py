@@ -25,6 +25,7 @@ from icu_common.core.geometry.camera_model import CameraModel
 from icu_common.core.geometry.fiducial import Fiducial, dictionary
 from icu_common.core.geometry.geometry import Array, Transform
 from icu_common.core.panel.panel_layout import PanelLayout
+from icu_common.core.reasons.message import Message
 
 _LEAST_SIDE_PX = 12.0
 
@@ -109,13 +110,17 @@ class MarkerFinder:
             if known is not None:
                 apart_mm = float(np.linalg.norm(places_mm - known.corners_mm(), axis=1).max())
                 if not apart_mm <= bound_mm:
-                    return (
-                        f"by marker {known.name} the panel is {apart_mm:.1f} mm from where its print is, "
-                        f"{bound_mm:g} mm are allowed"
+                    return Message(
+                        "markers.marker_panel_where_print_allowed",
+                        known=known.name,
+                        apart_mm=apart_mm,
+                        bound_mm=bound_mm,
                     )
                 confirmed = True
             elif (other := self._in_place_of(places_mm.mean(axis=0))) is not None:
-                return f"marker {marker.dictionary} {marker.id} is where the layout has {other.name}"
+                return Message(
+                    "markers.marker_where_layout", dictionary=marker.dictionary, id=marker.id, other=other.name
+                )
         return "" if confirmed else None
 
     def _in_place_of(self, centre_mm: Array) -> Fiducial | None:

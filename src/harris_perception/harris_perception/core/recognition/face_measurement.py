@@ -35,6 +35,7 @@ from icu_common.core.configuration.config import Config, setting
 from icu_common.core.geometry.camera_model import CameraModel
 from icu_common.core.geometry.geometry import Array, Transform
 from icu_common.core.panel.panel_layout import PanelLayout
+from icu_common.core.reasons.message import Message
 
 # Blurs (px) of the template that are tried; the best replaces the previous one if it is more similar by ``_BLURRED``.
 _BLURS_PX = (0.0, 0.6, 1.0, 1.6, 2.3)
@@ -156,7 +157,7 @@ class FaceMeter:
         self.levels = [_level(template, detector) for template in templates]
         best = self.levels[0] if self.levels else None
         if best is None or len(best.corners_px) < config.min_points or len(best.edges) < config.edge_points:
-            raise ValueError(f"the face of {layout.model} has too little print to be recognised")
+            raise ValueError(Message("face.face_too_little_print_recognised", model=layout.model))
         self._soft: dict[tuple[int, float], Level] = {}
         self._number = {level.template.px_per_mm: number for number, level in enumerate(self.levels)}
         self._hidden = lru_cache(_KEPT_VIEWS)(self._hidden_from)

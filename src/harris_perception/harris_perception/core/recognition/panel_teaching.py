@@ -21,6 +21,7 @@ from icu_common.core.configuration.text_bounds import deepest_line, plain
 from icu_common.core.geometry.camera_model import CameraModel
 from icu_common.core.geometry.geometry import Array
 from icu_common.core.panel.panel_layout import CONTROL_KINDS, PanelLayout, parse_layout
+from icu_common.core.reasons.message import Message, quoted
 
 _MODEL = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,40}\Z")  # used as a file name
 
@@ -67,13 +68,20 @@ def parse_pointed(text: str) -> Pointed:
         if len(rest) > 1:
             raise ValueError
     except ValueError:
-        raise TeachingError(f"control {text!r}: NAME:kind:u,v:WIDTHxHEIGHT[:height] is needed") from None
+        raise TeachingError(Message("teach.control_name_kind_widthxheight_height", text=quoted(text))) from None
     return _known_kind(Pointed(name=name, kind=kind, pixel=(u, v), size_mm=(width, height), height_mm=proud))
 
 
 def _known_kind(control: Pointed) -> Pointed:
     if control.kind not in CONTROL_KINDS:
-        raise TeachingError(f"control {control.name!r}: kind {control.kind!r} is none of {', '.join(CONTROL_KINDS)}")
+        raise TeachingError(
+            Message(
+                "teach.control_kind_none",
+                control=quoted(control.name),
+                kind=quoted(control.kind),
+                control_kinds=", ".join(CONTROL_KINDS),
+            )
+        )
     return control
 
 
@@ -94,14 +102,12 @@ def mm_from_pixel(corners_px: npt.ArrayLike, size_mm: tuple[float, float]) -> Ar
     """
     corners = np.asarray(corners_px, dtype=np.float64)
     if corners.shape != (4, 2) or not np.isfinite(corners).all():
-        raise TeachingError(f"{corners.tolist()}: four corners u,v are needed")
+        raise TeachingError(Message("teach.four_corners_needed", corners=corners.tolist()))
     side = np.roll(corners, -1, axis=0) - corners
     following = np.roll(side, -1, axis=0)
     turn = side[:, 0] * following[:, 1] - side[:, 1] * following[:, 0]
     if not (turn < -100.0).all():
-        raise TeachingError(
-            f"corners {corners.tolist()} do not go round the face: lower left, lower right, upper right, upper left"
-        )
+        raise TeachingError(Message("teach.corners_not_go_round_face", corners=corners.tolist()))
     width, height = size_mm
     face = np.array([(0.0, 0.0), (width, 0.0), (width, height), (0.0, height)])
     return np.asarray(cv2.getPerspectiveTransform(corners.astype(np.float32), face.astype(np.float32)), np.float64)
@@ -126,7 +132,7 @@ def straight_on(picture: Picture, to_mm: Array, size_mm: tuple[float, float], px
     """
     wide, high = (side * px_per_mm for side in size_mm)
     if not all(math.isfinite(side) and 48 <= round(side) <= 8192 for side in (wide, high)):
-        raise TeachingError(f"{wide:.0f} x {high:.0f} px at {px_per_mm:g} px/mm: sides from 48 to 8192 px are needed")
+        raise TeachingError(Message("teach.sides_48_8192_needed", wide=wide, high_px=high, px_per_mm=px_per_mm))
     width, height = round(wide), round(high)
     picture_from_template = inverse(to_mm) @ inverse(edge_to_edge((width, height), size_mm))
     flags = cv2.INTER_AREA | cv2.WARP_INVERSE_MAP
@@ -171,7 +177,7 @@ class Lesson:
 
     def __post_init__(self) -> None:
         if not _MODEL.match(self.model):
-            raise TeachingError(f"model {self.model!r}: a letter, then up to 40 letters, digits and '_' are needed")
+            raise TeachingError(Message("teach.model_letter_then_up_40", model=quoted(self.model)))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -195,7 +201,7 @@ def parse_request(text: str) -> Request:
     goal_id = ""
     if len(text) > MAX_REQUEST or deepest_line(text, MAX_DEPTH):
         raise TeachingError(
-            f"the request is not understood: more than {MAX_REQUEST} characters or {MAX_DEPTH} brackets"
+            Message("teach.request_not_understood_more_characters", max_request=MAX_REQUEST, max_depth=MAX_DEPTH)
         )
     try:
         given = json.loads(text)
@@ -216,8 +222,10 @@ def parse_request(text: str) -> Request:
         )
         return Request(goal_id=goal_id, stamp_ns=int(given["stamp"]), lesson=lesson)
     except (KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
-        unclear = "" if isinstance(error, TeachingError) else f"the request is not understood: {type(error).__name__}: "
-        raise TeachingError(f"{unclear}{plain(str(error))}", goal_id) from error
+        reason = str(error)
+        if not isinstance(error, TeachingError):
+            reason = Message("teach.not_understood", kind=type(error).__name__, error=plain(reason))
+        raise TeachingError(reason, goal_id) from error
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -272,5 +280,5 @@ def _straightened(pixels: Array, camera: CameraModel) -> Array:
     """Return the positions of raw pixels (N, 2) in the image without distortion."""
     straight = camera.rectify(pixels)
     for u, v in pixels[~np.isfinite(straight).all(axis=1)]:
-        raise TeachingError(f"pixel {u:.0f}, {v:.0f} is beyond what the camera's calibration reaches")
+        raise TeachingError(Message("teach.pixel_beyond_camera_calibration_reaches", u=u, v=v))
     return straight

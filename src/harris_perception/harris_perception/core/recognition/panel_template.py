@@ -13,6 +13,7 @@ import numpy.typing as npt
 from icu_common.core.geometry.geometry import Array
 from icu_common.core.panel.panel_layout import Artwork, Circle, Control, Line, PanelLayout, Rectangle, Text, rgb
 from icu_common.core.panel.stroke_font import text_strokes
+from icu_common.core.reasons.message import Message
 
 _SHIFT = 4  # OpenCV draws to 1/16 px
 
@@ -68,7 +69,7 @@ def draw_panel(layout: PanelLayout, px_per_mm: float) -> npt.NDArray[np.uint8]:
     """
     width, height = (round(side * px_per_mm) for side in layout.size_mm)
     if not (min(width, height) >= 16 and max(width, height) <= 8192):
-        raise ValueError(f"{width} x {height} px at {px_per_mm:g} px/mm: sides from 16 to 8192 px are needed")
+        raise ValueError(Message("template.sides_16_8192_needed", width=width, height_px=height, px_per_mm=px_per_mm))
     canvas = _Canvas(width, height, px_per_mm, layout.colour)
     for item in layout.artwork:
         canvas.artwork(item)
@@ -106,8 +107,16 @@ def panel_template(
         found = np.array(picture.shape[1::-1])
         if (np.abs(wanted - found) > np.maximum(2.0, 0.01 * wanted)).any():
             raise ValueError(
-                f"the template picture has {found[0]} x {found[1]} px, the layout's {layout.size_mm[0]:g} x "
-                f"{layout.size_mm[1]:g} mm at {picture_px_per_mm:g} px/mm are {wanted[0]:.0f} x {wanted[1]:.0f} px"
+                Message(
+                    "template.template_picture_layout",
+                    found=found[0],
+                    found_px=found[1],
+                    size_mm=layout.size_mm[0],
+                    size_2_mm=layout.size_mm[1],
+                    picture_px_per_mm=picture_px_per_mm,
+                    wanted=wanted[0],
+                    wanted_px=wanted[1],
+                )
             )
         size = round(layout.size_mm[0] * px_per_mm), round(layout.size_mm[1] * px_per_mm)
         smaller = px_per_mm < picture_px_per_mm

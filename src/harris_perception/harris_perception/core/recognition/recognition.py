@@ -43,6 +43,7 @@ from icu_common.core.configuration.config import Config, ConfigError, nested
 from icu_common.core.geometry.camera_model import CameraModel
 from icu_common.core.geometry.geometry import Array, Transform
 from icu_common.core.panel.panel_layout import PanelLayout
+from icu_common.core.reasons.message import Message
 
 # Minimum agreement of a sighting that is accepted without comparing it with others.
 _SURE = 0.6
@@ -180,9 +181,11 @@ class PanelRecogniser:
             If the image's size is not the camera's, or it is not 8 bits deep.
         """
         if gray.shape[::-1] != camera.size:
-            raise ValueError(f"the picture has {gray.shape[::-1]} px, the camera's calibration {camera.size}")
+            raise ValueError(
+                Message("recognition.picture_camera_calibration", shape_px=gray.shape[::-1], size=camera.size)
+            )
         if gray.dtype != np.uint8:
-            raise ValueError(f"the picture has values of {gray.dtype}, uint8 is needed")
+            raise ValueError(Message("recognition.picture_values_uint_8_needed", dtype=gray.dtype))
         rectified = self._rectify(gray, camera)
         sighting = self._track(rectified, camera) if self._last is not None else None
         if sighting is None:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections import OrderedDict
 from typing import Any
 
+from icu_common.core.reasons.message import Message
+
 
 class Pairing:
     """Matches items of several streams by their stamps: equal stamps first, else within a tolerance.
@@ -64,10 +66,7 @@ class Pairing:
         if abs(self.apart_ns) <= self.tolerance_ns:
             return ""
         apart_ms, tolerance_ms = abs(self.apart_ns) * 1e-6, self.tolerance_ns * 1e-6
-        return (
-            f"left and right images differ by {apart_ms:.1f} ms, tolerance {tolerance_ms:g} ms: set pair_tolerance_s, "
-            "as a panel at rest looks the same in both"
-        )
+        return Message("stereo.left_right_images_differ_tolerance", apart_ms=apart_ms, tolerance_ms=tolerance_ms)
 
     def due(self, rate_hz: float) -> bool:
         """Return whether the newest instant is a period after the last one that was due; a millisecond is jitter.

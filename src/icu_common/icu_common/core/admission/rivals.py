@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from icu_common.core.reasons.message import joined, parts
 from icu_common.core.reasons.state_text import state_name
 
 
@@ -23,11 +24,11 @@ class RivalTopics:
     @property
     def text(self) -> str:
         """Programs and topics of all present conflicts, empty for none."""
-        return "; ".join(self._texts.values())
+        return joined(self._texts.values())
 
     def besides(self, reason: str) -> str:
         """Return the present conflicts other than the one that is the reason, joined by ``; ``; empty for none."""
-        return "; ".join(conflict for conflict in self._texts.values() if conflict != reason)
+        return joined(conflict for conflict in self._texts.values() if conflict != reason)
 
     def driver_is(self, state: str) -> None:
         """Forget the cause of the stop once the driver has left it."""
@@ -35,6 +36,6 @@ class RivalTopics:
             self._held_for = ""
 
     def clause(self, driver: str) -> str:
-        """Return the cause of a stop as an addition to the driver's state, empty if the state names it already."""
-        stopped = state_name(driver) == "stopped"
-        return f"; {self._held_for}" if stopped and self._held_for and self._held_for not in driver else ""
+        """Return the cause of a stop as a clause for the driver's state, empty if the state names it already."""
+        told = any(part == self._held_for for part in parts(driver))
+        return self._held_for if state_name(driver) == "stopped" and not told else ""

@@ -13,11 +13,13 @@ from collections import Counter
 from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass
 
+from icu_common.core.reasons.message import Message
+
 LEASE_S = 25.0
 """Maximum seconds for which an ended program stays in the graph: Fast DDS's default lease is 20 s."""
 NAMED_WITHIN_S = 0.3
 """Maximum seconds until the name of a new source is known; measured: up to 0.12 s."""
-UNNAMED = "a program without a name"
+UNNAMED = Message("sources.program_without_name")
 _NUMBERS = {2: "two", 3: "three", 4: "four"}
 
 
@@ -99,10 +101,13 @@ def rivals_text(topic: str, names: Collection[str]) -> str:
     """Return ``two programs publish panel/pose: /a and /b``, empty for fewer than two."""
     if len(names) < 2:
         return ""
-    counted = [f"{name} ({count} times)" if count > 1 else name for name, count in sorted(Counter(names).items())]
+    counted = [
+        Message("sources.times", name=name, count=count) if count > 1 else name
+        for name, count in sorted(Counter(names).items())
+    ]
     listed = " and ".join(filter(None, (", ".join(counted[:-1]), counted[-1])))
     count = _NUMBERS.get(len(names), str(len(names)))
-    return f"{count} programs publish {topic.lstrip('/')}: {listed}"
+    return Message("sources.programs_publish", count=count, topic=topic.lstrip("/"), listed=listed)
 
 
 def distrust_text(names: Collection[str], allowed: str) -> str:
@@ -120,8 +125,8 @@ def distrust_text(names: Collection[str], allowed: str) -> str:
     strangers = [name for name in names if base_name(name) not in allowed.split()]
     if names and not strangers:
         return ""
-    found = " and ".join(strangers) or "no known program"
-    return f"from {found}: trajectory_programs allows {allowed or 'no program'}"
+    found = " and ".join(strangers) or Message("sources.no_known_program")
+    return Message("sources.trajectory_programs_allows", found=found, allowed=allowed or Message("sources.no_program"))
 
 
 def base_name(name: str) -> str:

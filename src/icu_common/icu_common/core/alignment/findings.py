@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from enum import Enum
 
 from icu_common.core.processes.delays import Delay
+from icu_common.core.reasons.message import Message
 
 
 class FindingCode(str, Enum):
@@ -52,18 +53,20 @@ class Finding:
 
 def _text(code: FindingCode, of: dict[str, str]) -> str:
     if code is FindingCode.CAMERA_MOVED:
-        turn, limit = f"{of['turn_deg']} degrees ({of['turn_px']} px)", of["limit_deg"]
-        return f"the right camera has moved by {turn}, limit {limit} degrees: calibrate again"
+        turn, limit = Message("alignment.degrees", turn_deg=of["turn_deg"], turn_px=of["turn_px"]), of["limit_deg"]
+        return Message("alignment.right_camera_moved_limit_degrees", turn=turn, limit_deg=limit)
     if code is FindingCode.CAMERA_CHANGING:
-        turn = f"{of['turn_deg']} degrees ({of['turn_px']} px)"
-        return f"the right camera is moving: {turn} from its calibration, and not at rest"
+        turn = Message("alignment.degrees", turn_deg=of["turn_deg"], turn_px=of["turn_px"])
+        return Message("alignment.right_camera_moving_calibration_not", turn=turn)
     if code is FindingCode.CAMERA_UNCHECKED:
         age, limit = of["age_s"], of["limit_s"]
-        return f"the cameras have not been compared for {age} s, limit {limit} s: do both see the panel?"
+        return Message("alignment.cameras_not_compared_limit_both", age_s=age, limit_s=limit)
     if code is FindingCode.LAYOUT_DEVIATES:
         x, y, limit = of["x_mm"], of["y_mm"], of["limit_mm"]
-        return f"{of['control']} is {x} mm right of and {y} mm above its layout, limit {limit} mm: correct the layout"
-    return f"the touch is known to {of['uncertainty_mm']} mm, limit {of['limit_mm']} mm"
+        return Message(
+            "alignment.right_above_layout_limit_correct", control=of["control"], x_mm=x, y_mm=y, limit_mm=limit
+        )
+    return Message("alignment.touch_known_limit", uncertainty_mm=of["uncertainty_mm"], limit_mm=of["limit_mm"])
 
 
 Cause = Delay | Finding

@@ -8,6 +8,7 @@ import yaml
 
 from icu_common.core.configuration.text_bounds import plain
 from icu_common.core.configuration.yaml_text import Loader
+from icu_common.core.reasons.message import Message, quoted
 
 MAX_TEXT = 100
 """Maximum number of characters of a text."""
@@ -50,31 +51,34 @@ class YamlEntries:
         unknown = set(entry) - names - {"__line__"}
         if unknown:
             raise self.error(
-                entry, f"unknown key {', '.join(sorted(map(str, unknown)))}; known: {', '.join(sorted(names))}"
+                entry,
+                Message(
+                    "yaml.unknown_key_known", map=", ".join(sorted(map(str, unknown))), names=", ".join(sorted(names))
+                ),
             )
 
     def entries(self, document: dict[str, Any], key: str) -> list[dict[str, Any]]:
         """Return a list of mappings, empty if the key is missing."""
         value = document.get(key, [])
         if not isinstance(value, list) or not all(isinstance(entry, dict) for entry in value):
-            raise self.error(document, f"{key} must be a list of mappings")
+            raise self.error(document, Message("yaml.must_list_mappings", key=key))
         return value
 
     def text(self, entry: dict[str, Any], key: str, default: str | None = None) -> str:
         """Return a short printable text; without a default it must not be empty."""
         value = entry.get(key, default)
         if not isinstance(value, str) or (default is None and not value):
-            raise self.error(entry, f"{key} = {value!r}: a text is needed (quote it)")
+            raise self.error(entry, Message("yaml.text_needed_quote", key=key, value=quoted(value)))
         if len(value) > MAX_TEXT or not value.isprintable():
-            found = f"{key} = {value[:20]!r}..., {len(value)} characters"
-            raise self.error(entry, f"{found}: expected up to {MAX_TEXT} printable characters")
+            found = Message("yaml.characters", key=key, value=quoted(value[:20]), value_2=len(value))
+            raise self.error(entry, Message("yaml.expected_up_printable_characters", found=found, max_text=MAX_TEXT))
         return value
 
     def choice(self, entry: dict[str, Any], key: str, choices: tuple[str, ...], default: str | None = None) -> str:
         """Return one of several texts."""
         value = self.text(entry, key, default)
         if value not in choices:
-            raise self.error(entry, f"{key} = {value!r} is none of {', '.join(choices)}")
+            raise self.error(entry, Message("yaml.none", key=key, value=quoted(value), choices=", ".join(choices)))
         return value
 
     def colour(self, entry: dict[str, Any], key: str, default: str) -> str:
@@ -83,7 +87,7 @@ class YamlEntries:
         if (value or default) and not (
             len(value) == 7 and value[0] == "#" and all(c in "0123456789abcdefABCDEF" for c in value[1:])
         ):
-            raise self.error(entry, f'{key} = {value!r}: a colour such as "#ff8800" is needed')
+            raise self.error(entry, Message("yaml.colour_such_ff_8800_needed", key=key, value=quoted(value)))
         return value
 
     def numbers(self, entry: dict[str, Any], key: str, count: int, *, positive: bool = False) -> tuple[float, ...]:
@@ -91,12 +95,17 @@ class YamlEntries:
         value = entry.get(key)
         good = isinstance(value, list) and len(value) == count
         if not good or not all(isinstance(v, (int, float)) and not isinstance(v, bool) for v in value or ()):
-            raise self.error(entry, f"{key} = {plain(repr(value), 60)}: {count} numbers are needed")
+            raise self.error(entry, Message("yaml.numbers_needed", key=key, value=plain(repr(value), 60), count=count))
         assert isinstance(value, list)
         if any(v != v or abs(v) > 1e4 for v in value) or (positive and min(value) <= 0):
             raise self.error(
                 entry,
-                f"{key} = {plain(repr(value), 60)}: {'positive ' if positive else ''}numbers up to 10000 are needed",
+                Message(
+                    "yaml.numbers_up_10000_needed",
+                    key=key,
+                    value=plain(repr(value), 60),
+                    value_2="positive " if positive else "",
+                ),
             )
         return tuple(float(v) for v in value)
 

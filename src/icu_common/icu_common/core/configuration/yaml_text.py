@@ -13,6 +13,7 @@ from typing import Any
 import yaml
 
 from icu_common.core.configuration.text_bounds import deepest_line
+from icu_common.core.reasons.message import Message, quoted
 
 UNREADABLE = (yaml.YAMLError, RecursionError)
 """Exceptions that :class:`Loader` can raise."""
@@ -22,7 +23,7 @@ class RepeatedKey(yaml.composer.ComposerError):
     """A key occurs twice in a mapping: only the last value would count, and the others would be lost."""
 
     def __init__(self, key: yaml.ScalarNode) -> None:
-        super().__init__(None, None, f"key {key.value!r} stands twice", key.start_mark)
+        super().__init__(None, None, Message("yaml.key_stands_twice", key=quoted(key.value)), key.start_mark)
         self.key = key
 
 
@@ -39,10 +40,12 @@ class Loader(yaml.SafeLoader):
 
     def __init__(self, stream: str) -> None:
         if (size := len(stream.encode("utf-8", "surrogatepass"))) > self.max_bytes:
-            raise yaml.YAMLError(f"the text has {size} bytes (limit {self.max_bytes})")
+            raise yaml.YAMLError(Message("yaml.text_bytes_limit", size=size, max_bytes=self.max_bytes))
         if line := deepest_line(stream, self.max_depth):
             mark = yaml.Mark("", 0, line - 1, 0, None, 0)
-            raise yaml.composer.ComposerError(None, None, f"more than {self.max_depth} open brackets", mark)
+            raise yaml.composer.ComposerError(
+                None, None, Message("yaml.more_open_brackets", max_depth=self.max_depth), mark
+            )
         super().__init__(stream)
         self._depth = self._nodes = 0
         self._repeated: dict[str, int] = {}
@@ -52,9 +55,13 @@ class Loader(yaml.SafeLoader):
         alias = isinstance(event, yaml.AliasEvent)
         self._nodes += self._repeated.get(event.anchor, 1) if alias else 1
         if self._depth >= self.max_depth:
-            raise yaml.composer.ComposerError(None, None, f"more than {self.max_depth} levels", event.start_mark)
+            raise yaml.composer.ComposerError(
+                None, None, Message("yaml.more_levels", max_depth=self.max_depth), event.start_mark
+            )
         if self._nodes > self.max_nodes:
-            raise yaml.composer.ComposerError(None, None, f"more than {self.max_nodes} values", event.start_mark)
+            raise yaml.composer.ComposerError(
+                None, None, Message("yaml.more_values", max_nodes=self.max_nodes), event.start_mark
+            )
         self._depth += 1
         node = super().compose_node(parent, index)
         self._depth -= 1
@@ -124,11 +131,11 @@ def values_of_pairs(pairs: Iterable[str]) -> dict[str, Any]:
     for pair in pairs:
         name, equals, value = pair.partition("=")
         if not equals:
-            raise ValueError(f"{pair!r}: expected KEY=VALUE")
+            raise ValueError(Message("yaml.expected_key_value", pair=quoted(pair)))
         try:
             values[name] = yaml.load(value, Loader)
         except UNREADABLE as error:
-            raise ValueError(f"{pair!r}: the value cannot be read") from error
+            raise ValueError(Message("yaml.value_cannot_read", pair=quoted(pair))) from error
         if isinstance(values[name], str) and re.fullmatch(r"[-+]?[\d.]+[eE][-+]?\d+", value):
             values[name] = float(value)  # YAML 1.1 reads 1e6 as a text
     return values

@@ -20,6 +20,7 @@ from icu_common.core.configuration.text_bounds import plain
 from icu_common.core.configuration.yaml_text import UNREADABLE, ForeignLoader, mistake
 from icu_common.core.panel.gesture import TURNING, Gesture, GestureError, is_mark, parse_gesture
 from icu_common.core.panel.panel_state import LAMPS, ControlSeen, PanelSeen
+from icu_common.core.reasons.message import Message, quoted
 
 MAX_STEPS = 100
 MAX_NAME = 64
@@ -85,7 +86,7 @@ def parse_steps(texts: Sequence_[str]) -> Sequence:
     SequenceError
         With the number of the step and its fault.
     """
-    return _sequence([(f"step {number}", text) for number, text in enumerate(texts, 1)], "")
+    return _sequence([(Message("sequence.place", number=number), text) for number, text in enumerate(texts, 1)], "")
 
 
 def parse_file(text: str, file_name: str = "sequence") -> Sequence:
@@ -111,7 +112,7 @@ def unfit(sequence: Sequence, seen: PanelSeen) -> str:
         gesture = parse_gesture(step.gesture)
         found = [_unfit_gesture(gesture, seen), *(_unfit_check(check, seen) for check in step.checks)]
         if what := next(filter(None, found), ""):
-            return f"step {number}: {what}"
+            return Message("sequence.step_unfit", number=number, what=what)
     return ""
 
 
@@ -122,17 +123,17 @@ def _unfit_gesture(gesture: Gesture, seen: PanelSeen) -> str:
     if control is None:
         return _missing(gesture.target, seen)
     if control.kind == "connector":
-        return f"{control.name} is a {control.kind}; connectors are never pressed"
+        return Message("target.connectors_never_pressed", control=control.name, kind=control.kind)
     if gesture.kind in TURNING and control.kind != "knob":
-        return f"{control.name} is a {control.kind}; only a knob can be turned"
+        return Message("target.only_knob_can_turned", control=control.name, kind=control.kind)
     if gesture.kind == "click" and not control.detent_deg:
-        return f"{control.name} has no clicks (detent_deg in its layout)"
+        return Message("effect.no_clicks_detent_deg_layout", name=control.name)
     return _unfit_mark(control, gesture.mark) if gesture.mark else ""
 
 
 def _unfit_check(check: Check, seen: PanelSeen) -> str:
     if check.kind == "screen":
-        return "" if any(c.kind == "touch_area" for c in seen.controls) else "this panel has no screen"
+        return "" if any(c.kind == "touch_area" for c in seen.controls) else Message("sequence.panel_no_screen")
     if not check.control:
         return ""
     control = seen.control(check.control)
@@ -142,26 +143,30 @@ def _unfit_check(check: Check, seen: PanelSeen) -> str:
         if control.lamp or control.hidden_by:
             return ""
         lit = ", ".join(c.name for c in seen.controls if c.lamp) or "none"
-        return f"no lamp is seen on {control.name}; lamps are seen on {lit}"
+        return Message("sequence.no_lamp_seen_lamps_seen", control=control.name, lit=lit)
     if control.kind != "knob":
-        return f"{control.name} is a {control.kind}; only a knob has an angle"
+        return Message("sequence.only_knob_angle", control=control.name, kind=control.kind)
     return _unfit_mark(control, check.value) if is_mark(check.value) else ""
 
 
 def _unfit_mark(control: ControlSeen, mark: str) -> str:
     marks = dict(control.marks)
-    return "" if mark in marks else f"{control.name} has no mark {mark!r}; it has {', '.join(marks) or 'none'}"
+    return (
+        ""
+        if mark in marks
+        else Message("effect.no_mark", name=control.name, mark=quoted(mark), marks=", ".join(marks) or "none")
+    )
 
 
 def _missing(name: str, seen: PanelSeen) -> str:
     names = [control.name for control in seen.controls]
     near = difflib.get_close_matches(name.upper(), names, n=3, cutoff=0.4) or names[:5]
-    return f"this panel has no {name}; nearest: {', '.join(near)}"
+    return Message("sequence.panel_no_nearest", name=name, near=", ".join(near))
 
 
 def _sequence_of(root: yaml.Node | None, file_name: str) -> Sequence:
     if not isinstance(root, yaml.MappingNode):
-        raise SequenceError(f"{file_name}:1: a mapping with steps is needed")
+        raise SequenceError(Message("sequence.n_1_mapping_steps_needed", file_name=file_name))
     entries: list[tuple[str, Any]] = []
     name = ""
     for key, value in root.value:
@@ -170,7 +175,9 @@ def _sequence_of(root: yaml.Node | None, file_name: str) -> Sequence:
             name = value.value
             if len(name) > MAX_NAME or not name.isprintable():
                 raise SequenceError(
-                    f"{place}: a name of {len(name)} characters; expected up to {MAX_NAME} printable ones"
+                    Message(
+                        "sequence.name_characters_expected_up_printable", place=place, name=len(name), max_name=MAX_NAME
+                    )
                 )
         elif key.value == "steps" and isinstance(value, yaml.SequenceNode):
             for node in value.value:
@@ -178,13 +185,13 @@ def _sequence_of(root: yaml.Node | None, file_name: str) -> Sequence:
                     (f"{file_name}:{node.start_mark.line + 1}", ForeignLoader("").construct_object(node, deep=True))
                 )
         else:
-            raise SequenceError(f"{place}: {key.value!r}: name (a text) and steps (a list) are known")
+            raise SequenceError(Message("sequence.name_text_steps_list_known", place=place, key=quoted(key.value)))
     return _sequence(entries, name)
 
 
 def _sequence(entries: Sequence_[tuple[str, Any]], name: str) -> Sequence:
     if not 0 < len(entries) <= MAX_STEPS:
-        raise SequenceError(f"{len(entries)} steps; 1 to {MAX_STEPS} are needed")
+        raise SequenceError(Message("sequence.steps_1_needed", entries=len(entries), max_steps=MAX_STEPS))
     return Sequence(steps=tuple(_step(place, entry) for place, entry in entries), name=name)
 
 
@@ -192,38 +199,42 @@ def _step(place: str, entry: Any) -> Step:
     if isinstance(entry, dict):
         unknown = set(entry) - {"do", "check", "within_s"}
         if unknown or not isinstance(entry.get("do"), str):
-            found = f"unknown key {', '.join(sorted(map(str, unknown)))}" if unknown else "no gesture"
-            raise SequenceError(f"{place}: {found}; do (a gesture), check and within_s are known")
+            found = (
+                Message("sequence.unknown_key", map=", ".join(sorted(map(str, unknown))))
+                if unknown
+                else Message("sequence.no_gesture")
+            )
+            raise SequenceError(Message("sequence.gesture_check_within_known", place=place, found=found))
         checks = entry.get("check", [])
         texts = [checks] if isinstance(checks, str) else checks
         within = entry.get("within_s", math.nan)
         good = isinstance(within, (int, float)) and not isinstance(within, bool)
         if not good or not (within != within or 0 < within <= 60):  # isnan raises an error for an integer of 400 digits
             raise SequenceError(
-                f"{place}: within_s = {plain(repr(within), 40)}: seconds above 0 and up to 60 are needed"
+                Message("sequence.within_seconds_above_0_up", place=place, within=plain(repr(within), 40))
             )
         if not isinstance(texts, list) or not all(isinstance(t, str) for t in texts):
-            raise SequenceError(f"{place}: check = {checks!r}: a text or a list of texts is needed")
+            raise SequenceError(Message("sequence.check_text_list_texts_needed", place=place, checks=quoted(checks)))
         gesture, within_s = entry["do"], float(within)
     elif isinstance(entry, str):
         gesture, arrow, after = entry.partition("=>")
         texts, within_s = after.split(",") if arrow else [], math.nan
     else:
-        raise SequenceError(f"{place}: {entry!r} is neither a text nor a mapping")
+        raise SequenceError(Message("sequence.neither_text_nor_mapping", place=place, entry=quoted(entry)))
     try:
         parsed = parse_gesture(gesture.strip())
     except GestureError as error:
         raise SequenceError(f"{place}: {error}") from error
     if parsed.id:
-        raise SequenceError(f"{place}: {gesture.strip()!r}: ids are given by the sequencer")
+        raise SequenceError(Message("sequence.ids_given_sequencer", place=place, gesture=quoted(gesture.strip())))
     return Step(gesture=parsed.text(), checks=tuple(_check(place, t.strip()) for t in texts), within_s=within_s)
 
 
 def _check(place: str, text: str) -> Check:
     found = _CHECK.match(text)
     if found is None:
-        known = "effect, screen, lamp:NAME=COLOUR (or off), angle:NAME=DEGREES (or MARK)"
-        raise SequenceError(f"{place}: check {text!r} is none of {known}")
+        known = Message("sequence.effect_screen_lamp_name_colour")
+        raise SequenceError(Message("sequence.check_none", place=place, text=quoted(text), known=known))
     if found[2] == "lamp" and found[4] not in LAMPS:
-        raise SequenceError(f"{place}: lamp {found[4]!r} is none of {', '.join(LAMPS)}")
+        raise SequenceError(Message("sequence.lamp_none", place=place, found=quoted(found[4]), lamps=", ".join(LAMPS)))
     return Check(kind=found[1] or found[2], control=found[3] or "", value=found[4] or "")

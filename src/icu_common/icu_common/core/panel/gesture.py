@@ -6,6 +6,8 @@ import math
 import re
 from dataclasses import dataclass
 
+from icu_common.core.reasons.message import Message, quoted
+
 GESTURES = ("press", "long", "double", "hold", "turn", "click", "set", "drag")
 TURNING = ("turn", "click", "set")
 """Gestures that turn a knob."""
@@ -97,25 +99,25 @@ def parse_gesture(text: str) -> Gesture:
     Point(x=0.12, y=0.08, frame='base_link')
     """
     if len(text) > MAX_LENGTH:
-        raise GestureError(f"the command has {len(text)} characters, at most {MAX_LENGTH} are allowed")
+        raise GestureError(Message("gesture.command_characters_most_allowed", text=len(text), max_length=MAX_LENGTH))
     body, _, tail = text.strip().partition(" ")
     identifier = ""
     if tail:
         if not re.match(r"id=[\w.-]{1,64}\Z", tail.strip()):
-            raise GestureError(f"{tail.strip()!r}: expected id= and up to 64 letters, digits, '.', '-' or '_'")
+            raise GestureError(Message("gesture.expected_id_up_64_letters", tail=quoted(tail.strip())))
         identifier = tail.strip()[3:]
     parts = body.split(":")
     if len(parts) not in (2, 3):
-        raise GestureError(f"{body!r}: expected gesture:target or gesture:target:argument")
+        raise GestureError(Message("gesture.expected_gesture_target_gesture_target", body=quoted(body)))
     kind = parts[0]
     if kind not in GESTURES:
-        raise GestureError(f"gesture {kind!r} is none of {', '.join(GESTURES)}")
+        raise GestureError(Message("gesture.gesture_none", kind=quoted(kind), gestures=", ".join(GESTURES)))
     target, argument, mark, to = _target(parts[1]), math.nan, "", None
     if kind in ("press", "long", "double"):
         if len(parts) == 3:
-            raise GestureError(f"{kind} takes no argument, found {parts[2]!r}")
+            raise GestureError(Message("gesture.takes_no_argument_found", kind=kind, parts=quoted(parts[2])))
     elif len(parts) == 2:
-        raise GestureError(f"{kind} needs {_NEEDS[kind]}, found nothing")
+        raise GestureError(Message("gesture.needs_found_nothing", kind=kind, needs=_NEEDS[kind]))
     elif kind == "drag":
         to = _point(parts[2])
     elif kind == "set" and is_mark(parts[2]):
@@ -123,16 +125,16 @@ def parse_gesture(text: str) -> Gesture:
     else:
         argument = _finite(parts[2], "argument")
         if not _fits(kind, argument):
-            raise GestureError(f"{kind} needs {_NEEDS[kind]}, found {parts[2]!r}")
+            raise GestureError(Message("gesture.needs_found", kind=kind, needs=_NEEDS[kind], parts=quoted(parts[2])))
     return Gesture(kind=kind, target=target, argument=argument, mark=mark, to=to, id=identifier)
 
 
 _NEEDS = {
-    "hold": "seconds above 0 and up to 30",
-    "turn": "an angle in degrees, not zero and at most 360 either way",
-    "click": f"a whole number of clicks, not zero and at most {MAX_CLICKS} either way",
-    "set": "a marked position's name or degrees from -180 to 180",
-    "drag": "the point x,y@frame where it ends",
+    "hold": Message("gesture.seconds_above_0_up_30"),
+    "turn": Message("gesture.angle_degrees_not_zero_most"),
+    "click": Message("gesture.whole_number_clicks_not_zero", max_clicks=MAX_CLICKS),
+    "set": Message("gesture.marked_position_name_degrees_180"),
+    "drag": Message("gesture.point_where_ends"),
 }
 
 
@@ -152,7 +154,7 @@ def _text(point: Point) -> str:
 def _point(text: str) -> Point:
     found = _target(text)
     if not isinstance(found, Point):
-        raise GestureError(f"drag needs {_NEEDS['drag']}, found {text!r}")
+        raise GestureError(Message("gesture.drag_needs_found", drag=_NEEDS["drag"], text=quoted(text)))
     return found
 
 
@@ -161,7 +163,7 @@ def _target(text: str) -> str | Point:
     if point:
         return Point(x=_finite(point[1], "x"), y=_finite(point[2], "y"), frame=point[3])
     if not is_name(text):
-        raise GestureError(f"target {text!r} is neither a control's name nor x,y@frame")
+        raise GestureError(Message("gesture.target_neither_control_name_nor", text=quoted(text)))
     return text
 
 
@@ -169,7 +171,7 @@ def _finite(text: str, what: str) -> float:
     try:
         value = float(text)
     except ValueError:
-        raise GestureError(f"{what} {text!r} is not a number") from None
+        raise GestureError(Message("gesture.not_number", what=what, text=quoted(text))) from None
     if not math.isfinite(value):
-        raise GestureError(f"{what} {text!r} is not finite")
+        raise GestureError(Message("gesture.not_finite", what=what, text=quoted(text)))
     return value

@@ -18,6 +18,7 @@ from icu_common.core.configuration.yaml_text import UNREADABLE, mistake
 from icu_common.core.geometry.fiducial import DICTIONARIES, Fiducial, count_of
 from icu_common.core.panel.gesture import is_mark, is_name
 from icu_common.core.panel.stroke_font import text_strokes
+from icu_common.core.reasons.message import Message, quoted
 
 CONTROL_KINDS = ("button", "knob", "touch_area", "connector")
 SHAPES = ("rectangle", "circle")
@@ -136,7 +137,14 @@ class PanelLayout:
         for control in self.controls:
             if control.name == name:
                 return control
-        raise KeyError(f"{self.model} has no control {name!r}; it has {', '.join(c.name for c in self.controls)}")
+        raise KeyError(
+            Message(
+                "layout.no_control",
+                model=self.model,
+                name=quoted(name),
+                controls=", ".join(c.name for c in self.controls),
+            )
+        )
 
 
 def load_layout(path: Path) -> PanelLayout:
@@ -164,7 +172,7 @@ def parse_layout(text: str, file_name: str = "layout") -> PanelLayout:
     except UNREADABLE as error:
         raise LayoutError(f"{file_name}:{mistake(error)}") from error
     if not isinstance(document, dict):
-        raise LayoutError(f"{file_name}:1: a mapping with model, size_mm and controls is needed")
+        raise LayoutError(Message("layout.n_1_mapping_model_size_controls", file_name=file_name))
     return _Reader(file_name, LayoutError).layout(document)
 
 
@@ -178,22 +186,29 @@ class _Reader(YamlEntries):
         for entry in self.entries(document, "controls"):
             control = self.one_control(entry)
             if control.name in {c.name for c in controls}:
-                raise self.error(entry, f"control {control.name!r} stands twice")
+                raise self.error(entry, Message("layout.control_stands_twice", control=quoted(control.name)))
             x, y = control.position_mm
             half_width, half_height = control.size_mm[0] / 2, control.size_mm[1] / 2
             if not (half_width <= x <= width - half_width and half_height <= y <= height - half_height):
                 raise self.error(
                     entry,
-                    f"control {control.name!r} at ({x:g}, {y:g}) reaches outside the panel {width:g} x {height:g} mm",
+                    Message(
+                        "layout.control_reaches_outside_panel",
+                        control=quoted(control.name),
+                        x=x,
+                        y=y,
+                        width=width,
+                        height_mm=height,
+                    ),
                 )
             controls.append(control)
         if not controls:
-            raise self.error(document, "no controls")
+            raise self.error(document, Message("layout.no_controls"))
         markers: list[Fiducial] = []
         for entry in self.entries(document, "markers"):
             marker = self.one_marker(entry)
             if marker.name in {m.name for m in markers}:
-                raise self.error(entry, f"marker {marker.name} stands twice")
+                raise self.error(entry, Message("layout.marker_stands_twice", marker=marker.name))
             self.check_place(entry, marker, (width, height), controls)
             markers.append(marker)
         return PanelLayout(
@@ -213,7 +228,9 @@ class _Reader(YamlEntries):
     def tolerance(self, document: dict[str, Any]) -> float:
         value = self.one_number(document, "tolerance_mm", TOLERANCE_MM)
         if not 0 <= value <= MAX_TOLERANCE_MM:
-            raise self.error(document, f"tolerance_mm = {value:g} is not within 0 to {MAX_TOLERANCE_MM:g} mm")
+            raise self.error(
+                document, Message("layout.tolerance_not_within_0", value=value, max_tolerance_mm=MAX_TOLERANCE_MM)
+            )
         return value
 
     def one_marker(self, entry: dict[str, Any]) -> Fiducial:
@@ -221,7 +238,10 @@ class _Reader(YamlEntries):
         dictionary = self.choice(entry, "dictionary", DICTIONARIES)
         number, count = self.one_number(entry, "id", -1.0), count_of(dictionary)
         if number != int(number) or not 0 <= number < count:
-            raise self.error(entry, f"id = {entry.get('id')!r}: {dictionary} has the markers 0 to {count - 1}")
+            raise self.error(
+                entry,
+                Message("layout.id_markers_0", entry=quoted(entry.get("id")), dictionary=dictionary, count=count - 1),
+            )
         x, y = self.numbers(entry, "position_mm", 2)
         size = self.one_number(entry, "size_mm", positive=True)
         return Fiducial(dictionary=dictionary, id=int(number), position_mm=(x, y), size_mm=size)
@@ -231,36 +251,41 @@ class _Reader(YamlEntries):
     ) -> None:
         (x, y), half = marker.position_mm, marker.side_mm / 2
         if not all(half <= place <= side - half for place, side in zip((x, y), size_mm)):
-            text = f"marker {marker.name} at ({x:g}, {y:g}) with its white rim, {marker.side_mm:.1f} mm wide,"
-            raise self.error(entry, f"{text} reaches outside the panel {size_mm[0]:g} x {size_mm[1]:g} mm")
+            text = Message("layout.marker_white_rim_wide", marker=marker.name, x=x, y=y, side_mm=marker.side_mm)
+            raise self.error(
+                entry, Message("layout.reaches_outside_panel", text=text, size_mm=size_mm[0], size_2_mm=size_mm[1])
+            )
         for control in controls:
             beside = (abs(p - q) - s / 2 - half for p, q, s in zip((x, y), control.position_mm, control.size_mm))
             if max(beside) < 0:
-                raise self.error(entry, f"marker {marker.name} with its white rim is under control {control.name!r}")
+                raise self.error(
+                    entry,
+                    Message("layout.marker_white_rim_under_control", marker=marker.name, control=quoted(control.name)),
+                )
 
     def one_control(self, entry: dict[str, Any]) -> Control:
         fields = {"name", "kind", "position_mm", "size_mm", "shape", "height_mm", "label", "colour", "lit_colour"}
         self.known(entry, fields | {"detent_deg", "marks_deg", "dimple"})
         name = self.text(entry, "name")
         if not is_name(name):
-            raise self.error(entry, f"name {name!r}: a letter from A to Z, then letters, digits and '_' are needed")
+            raise self.error(entry, Message("layout.name_letter_z_then_letters", name=quoted(name)))
         x, y = self.numbers(entry, "position_mm", 2)
         width, height = self.numbers(entry, "size_mm", 2, positive=True)
         kind, shape = self.choice(entry, "kind", CONTROL_KINDS), self.choice(entry, "shape", SHAPES, "rectangle")
         proud = self.one_number(entry, "height_mm", 0.0)
         detent = self.one_number(entry, "detent_deg", 0.0)
         if not 0 <= proud <= 200:
-            raise self.error(entry, f"height_mm = {proud:g} is not within 0 to 200 mm")
+            raise self.error(entry, Message("layout.height_not_within_0_200", proud=proud))
         if not 0 <= detent <= 180:
-            raise self.error(entry, f"detent_deg = {detent:g} is not within 0 to 180 degrees")
+            raise self.error(entry, Message("layout.detent_deg_not_within_0", detent=detent))
         if "detent_deg" in entry and not detent:
-            raise self.error(entry, f"detent_deg = {detent:g}: remove this key for a knob without clicks")
+            raise self.error(entry, Message("layout.detent_deg_remove_key_knob", detent=detent))
         if kind == "knob" and shape != "circle":
-            raise self.error(entry, f"knob {name!r} is a {shape}; a knob is a circle")
+            raise self.error(entry, Message("layout.knob_knob_circle", name=quoted(name), shape=shape))
         if shape == "circle" and width != height:
-            raise self.error(entry, f"size_mm = [{width:g}, {height:g}]: a circle is as wide as high")
+            raise self.error(entry, Message("layout.size_circle_wide_high", width=width, height=height))
         if kind != "knob" and (detent or "marks_deg" in entry or "dimple" in entry):
-            raise self.error(entry, f"{name!r} is a {kind}; only a knob has detent_deg, marks_deg or a dimple")
+            raise self.error(entry, Message("layout.only_knob_detent_deg_marks", name=quoted(name), kind=kind))
         return Control(
             name=name,
             kind=kind,
@@ -282,14 +307,16 @@ class _Reader(YamlEntries):
             self.known(entry, {"rectangle_mm", "fill", "outline", "line_mm"})
             x, y, width, height = self.numbers(entry, "rectangle_mm", 4)
             if min(width, height) <= 0:
-                raise self.error(entry, f"rectangle_mm = {entry['rectangle_mm']}: width and height above 0 are needed")
+                raise self.error(
+                    entry, Message("layout.rectangle_width_height_above_0", rectangle_mm=entry["rectangle_mm"])
+                )
             fill, outline = self.colour(entry, "fill", ""), self.colour(entry, "outline", "")
             return Rectangle(rectangle_mm=(x, y, width, height), fill=fill, outline=outline, line_mm=line_mm)
         if "circle_mm" in entry:
             self.known(entry, {"circle_mm", "fill", "outline", "line_mm"})
             x, y, radius = self.numbers(entry, "circle_mm", 3)
             if radius <= 0:
-                raise self.error(entry, f"circle_mm = {entry['circle_mm']}: a radius above 0 is needed")
+                raise self.error(entry, Message("layout.circle_radius_above_0_needed", circle_mm=entry["circle_mm"]))
             fill, outline = self.colour(entry, "fill", ""), self.colour(entry, "outline", "")
             return Circle(circle_mm=(x, y, radius), fill=fill, outline=outline, line_mm=line_mm)
         if "line_from_to_mm" in entry:
@@ -309,30 +336,29 @@ class _Reader(YamlEntries):
             except ValueError as error:
                 raise self.error(entry, str(error)) from error
             return Text(text=text, at_mm=(x, y), height_mm=height, colour=colour, line_mm=line_mm)
-        raise self.error(entry, "artwork needs one of rectangle_mm, circle_mm, line_from_to_mm, text")
+        raise self.error(entry, Message("layout.artwork_needs_one_rectangle_circle"))
 
     def marks(self, entry: dict[str, Any]) -> tuple[tuple[str, float], ...]:
         given = entry.get("marks_deg", {})
         if not isinstance(given, dict):
-            raise self.error(entry, f"marks_deg = {given!r}: a mapping of names to degrees is needed")
+            raise self.error(entry, Message("layout.marks_deg_mapping_names_degrees", given=quoted(given)))
         found = []
         for name in (key for key in given if key != "__line__"):
             if not isinstance(name, str) or not is_mark(name):
                 raise self.error(
                     given,
-                    f"mark {name!r}: a letter from A to Z, then letters, digits and '_' are needed, "
-                    "and neither nan nor inf, which are numbers",
+                    Message("layout.mark_letter_z_then_letters", name=quoted(name)),
                 )
             degrees = self.one_number(given, name, 0.0)
             if not -180 <= degrees <= 180:
-                raise self.error(given, f"mark {name} = {degrees:g} is not within -180 to 180 degrees")
+                raise self.error(given, Message("layout.mark_not_within_180_180", name=name, degrees=degrees))
             found.append((name, degrees))
         return tuple(found)
 
     def dimple(self, entry: dict[str, Any], knob_mm: float, proud_mm: float) -> Dimple:
         given = entry["dimple"]
         if not isinstance(given, dict):
-            raise self.error(entry, f"dimple = {given!r}: a mapping of place_mm, diameter_mm and depth_mm is needed")
+            raise self.error(entry, Message("layout.dimple_mapping_place_diameter_depth", given=quoted(given)))
         self.known(given, {"place_mm", "diameter_mm", "depth_mm"})
         x, y = self.numbers(given, "place_mm", 2)
         diameter, depth = (self.one_number(given, key, positive=True) for key in ("diameter_mm", "depth_mm"))
@@ -340,11 +366,15 @@ class _Reader(YamlEntries):
         if reach > knob_mm / 2 or math.hypot(x, y) < diameter / 2:
             raise self.error(
                 given,
-                f"the dimple lies {math.hypot(x, y) - diameter / 2:g} to {reach:g} mm from the knob's middle, "
-                f"0 to {knob_mm / 2:g} mm are possible",
+                Message(
+                    "layout.dimple_lies_knob_middle_0",
+                    hypot=math.hypot(x, y) - diameter / 2,
+                    reach_mm=reach,
+                    knob_mm=knob_mm / 2,
+                ),
             )
         if depth >= proud_mm:
-            raise self.error(given, f"depth_mm = {depth:g} is not below the knob's height_mm = {proud_mm:g}")
+            raise self.error(given, Message("layout.depth_not_below_knob_height", depth=depth, proud_mm=proud_mm))
         return Dimple(place_mm=(x, y), diameter_mm=diameter, depth_mm=depth)
 
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from icu_common.core.reasons.message import Message
+
 HIDDEN_BY = ("", "stylus", "something", "edge")
 """Causes that hide a control: none, the robot's own stylus or arm, something else such as a hand, or the edge of the
 image. Cameras on the carriage see a control beyond the edge after they have moved to it."""
@@ -47,13 +49,15 @@ class ControlSeen:
     def text(self) -> str:
         """Return the state as text for people."""
         if self.hidden_by == "edge":
-            return "not in the picture"
+            return Message("panel.not_picture")
         if self.hidden_by:
-            return f"hidden by {'the stylus' if self.hidden_by == 'stylus' else self.hidden_by}"
+            return Message(
+                "panel.hidden", hidden_by=Message("panel.stylus") if self.hidden_by == "stylus" else self.hidden_by
+            )
         if self.lamp:
-            return f"lamp {self.lamp}"
+            return Message("panel.lamp", lamp=self.lamp)
         if not math.isnan(self.angle_deg):
-            return f"at {self.angle_deg:+.1f} degrees"
+            return Message("panel.degrees", angle_deg=self.angle_deg)
         return "seen"
 
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from enum import Enum
 
 from icu_common.core.goals.results import GoalResult
+from icu_common.core.reasons.message import Message
 
 
 class ResultCode(str, Enum):
@@ -52,7 +53,7 @@ class Delay:
 
     def text(self) -> str:
         """Return the delay for people."""
-        return f"{self.what} is late: {self.measured_s:.2f} s (limit {self.limit_s:g} s)"
+        return Message("goal.late_limit", what=self.what, measured_s=self.measured_s, limit_s=self.limit_s)
 
     def details(self) -> tuple[tuple[str, str], ...]:
         """Return the values as pairs for ``GoalResult.details``."""
@@ -84,4 +85,4 @@ def is_delayed(result: GoalResult) -> bool:
 
 def with_load(result: GoalResult, load: str) -> GoalResult:
     """Return the result with the processor load appended to its reason; unchanged if the load is not known."""
-    return replace(result, reason=f"{result.reason}; {load}") if load else result
+    return replace(result, reason=Message("text.and_also", first=result.reason, second=load)) if load else result

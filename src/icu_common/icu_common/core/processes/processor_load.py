@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 
+from icu_common.core.reasons.message import Message
+
 LISTED = 3
 """Maximum number of programs named in a message."""
 LEAST_PERCENT = 10.0
@@ -48,8 +50,14 @@ class ProcessorLoad:
         named = [p for p in self.programs if p.percent >= LEAST_PERCENT][:LISTED]
         shares = ", ".join(f"{p.name}{' (robot)' if p.own else ''} {p.percent:.0f} %" for p in named)
         robot, others = (sum(p.percent for p in self.programs if p.own is own) for own in (True, False))
-        whole = f"the robot uses {robot:.0f} %, other programs {others:.0f} %"
-        return f"load {self.load_average:.1f} on {self.cores} cores, {whole}: {shares or 'none needs much'}"
+        whole = Message("computer.robot_uses_other_programs", robot_percent=robot, others_percent=others)
+        return Message(
+            "computer.load_cores",
+            load_average=self.load_average,
+            cores=self.cores,
+            whole=whole,
+            shares=shares or Message("computer.none_needs_much"),
+        )
 
 
 def sorted_loads(loads: Iterable[ProgramLoad]) -> tuple[ProgramLoad, ...]:

@@ -91,15 +91,19 @@ class StateReports:
     """
 
     def __init__(self) -> None:
-        self._values: OrderedDict[str, Mapping[str, str]] = OrderedDict()
+        self._values: OrderedDict[str, tuple[Mapping[str, str], str]] = OrderedDict()
 
-    def take(self, text: str, values: Mapping[str, str]) -> None:
-        """Take the text and the values of a report."""
-        self._values[text] = values
+    def take(self, text: str, values: Mapping[str, str], message: str = "") -> None:
+        """Take the text and the values of a report; ``message`` is the text with its own code and values."""
+        self._values[text] = values, message or text
         self._values.move_to_end(text)
         while len(self._values) > MAX_REPORTS:
             self._values.popitem(last=False)
 
     def values_of(self, text: str) -> Mapping[str, str] | None:
         """Return the values that were last reported with the text of a state, None if there are none yet."""
-        return self._values.get(text)
+        return self._values[text][0] if text in self._values else None
+
+    def message_of(self, text: str) -> str:
+        """Return the text as a message with its code and values; unchanged without a report of it."""
+        return self._values[text][1] if text in self._values else text

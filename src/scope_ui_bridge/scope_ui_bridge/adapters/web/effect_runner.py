@@ -7,6 +7,7 @@ from collections.abc import Callable
 from concurrent.futures import Future
 from typing import Any
 
+from icu_common.core.reasons.message import Message
 from scope_ui_bridge.adapters.audit_writer import AuditWriter
 from scope_ui_bridge.adapters.graph_port import GraphError, GraphPort, read_clocks
 from scope_ui_bridge.adapters.recorder import Recorder
@@ -101,10 +102,10 @@ class EffectRunner:
         try:
             await asyncio.wrap_future(written)
             if not self._desk.still_wanted(order, read_clocks(self._graph)):
-                raise GraphError("stopped before it went out")
+                raise GraphError(Message("bridge.stopped_before_went_out"))
             self._to_graph(order)
         except OSError as error:
-            self._failed(order, f"the record could not be written: {error}")
+            self._failed(order, Message("bridge.record_could_not_written", error=error))
         except GraphError as error:
             self._failed(order, str(error))
 

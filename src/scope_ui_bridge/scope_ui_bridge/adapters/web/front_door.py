@@ -16,6 +16,8 @@ from aiohttp import web
 
 from icu_common.core.configuration.text_bounds import plain
 from scope_ui_bridge.adapters.secret_files import read_users
+from scope_ui_bridge.adapters.web import languages
+from scope_ui_bridge.adapters.web.languages import PAGE
 from scope_ui_bridge.adapters.web.listener import NOBODY, Listener, Turnstile
 from scope_ui_bridge.adapters.web.turned_away import TurnedAway
 from scope_ui_bridge.core.access import (
@@ -36,7 +38,6 @@ from scope_ui_bridge.core.wire import Refusal
 _LOG = logging.getLogger(__name__)
 COOKIE = "icu_session"
 """Cookie name without the port, which follows: browsers send a cookie to all ports of a host, also to other robots."""
-PAGE = Path(__file__).resolve().parents[2] / "page"
 _BODY_TIMEOUT_S = 5.0
 _MAX_FIELDS = 8
 _LOOK_S = 1.0
@@ -127,6 +128,7 @@ class FrontDoor:
         router.add_post("/sign-out", self._leave)
         router.add_get("/session", self._session_state)
         router.add_static("/page/", PAGE, follow_symlinks=False)
+        languages.add_routes(router)
 
     @web.middleware
     async def guard(self, request: web.Request, handler: Handler) -> web.StreamResponse:

@@ -8,6 +8,7 @@ import time
 
 from aiohttp import WSMsgType, web
 
+from icu_common.core.reasons.message import Message
 from scope_ui_bridge.adapters.video.video_hub import VideoHub, VideoViewer
 from scope_ui_bridge.adapters.web.front_door import FrontDoor
 from scope_ui_bridge.adapters.web.socket_gate import SocketGate
@@ -67,5 +68,5 @@ class VideoSockets:
         elif isinstance(camera, str) and camera in CAMERAS and all(isinstance(on, bool) for on in layers.values()):
             self._video.look(viewer, camera, frozenset(name for name, on in layers.items() if on))
         else:
-            raise Refusal("malformed", what="drawn, or camera and layers (true or false), are needed")
+            raise Refusal("malformed", what=Message("page.drawn_camera_layers_true_false"))
         self._video.kick(viewer)

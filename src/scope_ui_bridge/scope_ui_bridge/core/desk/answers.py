@@ -78,7 +78,7 @@ class Answers:
             if result.outcome.final and result.outcome is not Outcome.REJECTED:
                 return []  # the end of a goal that this log no longer contains
             who = state.sequence.owner_of(result.goal_id) or "Graph"
-            action, target = goal_words(result.goal.partition(" id=")[0], state.scene.faces)
+            action, target = goal_words(result.goal, state.scene.faces)
             known = state.log.add(who, action, target, now, status="accepted", goal_id=result.goal_id)
         next_step = self._motions.ended(known, result, now)
         if next_step is not None:

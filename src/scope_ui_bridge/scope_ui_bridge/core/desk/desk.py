@@ -245,9 +245,9 @@ class Desk:
         if part == "sequencer":
             self.sequence.set_state(text)
 
-    def set_report(self, part: str, text: str, values: Mapping[str, str]) -> None:
+    def set_report(self, part: str, text: str, values: Mapping[str, str], message: str = "") -> None:
         """Set the code and its values that a part has reported with the text of a state."""
-        self.machine.set_report(part, text, values)
+        self.machine.set_report(part, text, values, message)
         self._explain_stop()
 
     def _explain_stop(self) -> None:

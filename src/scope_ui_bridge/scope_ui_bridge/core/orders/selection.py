@@ -15,6 +15,7 @@ from icu_common.core.geometry.geometry import Array, Transform
 from icu_common.core.goals.results import GoalResult
 from icu_common.core.panel.gesture import Gesture, GestureError, Point, parse_gesture
 from icu_common.core.panel.panel_state import ControlSeen, PanelSeen
+from icu_common.core.reasons.message import Message
 from scope_ui_bridge.core import wire
 from scope_ui_bridge.core.video import Face, Scene, moved_m
 from scope_ui_bridge.core.wire import Refusal
@@ -232,11 +233,11 @@ def action_text(gesture: Gesture) -> str:
 def goal_words(goal: str, faces: Iterable[Face]) -> tuple[str, str]:
     """Return action and target of another client's goal, worded as a page's; unchanged without a control."""
     try:
-        gesture = parse_gesture(goal)
+        gesture = parse_gesture(goal.partition(" id=")[0])
     except GestureError:
-        return goal, ""
+        return goal if isinstance(goal, Message) else goal.partition(" id=")[0], ""
     label = next((face.label for face in faces if face.name == gesture.target), "")
-    return (action_text(gesture), label) if label else (goal, "")
+    return (action_text(gesture), label) if label else (goal.partition(" id=")[0], "")
 
 
 def result_words(result: GoalResult, faces: Iterable[Face]) -> GoalResult:
@@ -250,6 +251,9 @@ def result_words(result: GoalResult, faces: Iterable[Face]) -> GoalResult:
         return result
 
     def labelled(text: str) -> str:
+        if isinstance(text, Message):
+            values = {name: labelled(value) if isinstance(value, str) else value for name, value in text.values.items()}
+            return Message(text.code, **values)
         return re.sub(rf"\b{re.escape(face.name)}\b", lambda _: face.label, text)
 
     details = tuple((key, labelled(value) if key == "effect" else value) for key, value in result.details)

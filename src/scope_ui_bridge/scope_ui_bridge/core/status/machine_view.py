@@ -51,7 +51,8 @@ class MachineView:
 
     def state(self, part: str) -> tuple[str, str]:
         """Return a part's state and its reason."""
-        return split_state(self._states[part])
+        text = self._states[part]
+        return split_state(self._reports[part].message_of(text))
 
     def set_confidence(self, confidence: float, now: Now) -> None:
         """Set the recognition's confidence, 0 = not recognised."""
@@ -105,9 +106,9 @@ class MachineView:
         silence_s = now.graph_s - self._picture_s
         return silence_s if silence_s < now.graph_s - self._moving_since_s + 1.0 else 0.0
 
-    def set_report(self, part: str, text: str, values: Mapping[str, str]) -> None:
-        """Set the code and its values that a part has reported with the text of a state."""
-        self._reports[part].take(text, values)
+    def set_report(self, part: str, text: str, values: Mapping[str, str], message: str) -> None:
+        """Set the codes and values that a part has reported with the text of a state; ``message`` is this text."""
+        self._reports[part].take(text, values, message)
 
     def reported(self, part: str) -> Mapping[str, str] | None:
         """Return the code and its values that a part has reported with its state, None if not yet."""

@@ -11,6 +11,7 @@ from icu_common.core.goals.results import GoalResult, Outcome
 from icu_common.core.goals.sequence import Sequence, SequenceError, parse_steps, unfit
 from icu_common.core.panel.gesture import parse_gesture
 from icu_common.core.panel.panel_state import PanelSeen
+from icu_common.core.reasons.message import Message, quoted
 from icu_common.core.reasons.state_text import state_name
 from scope_ui_bridge.core import wire
 from scope_ui_bridge.core.wire import Refusal
@@ -29,7 +30,9 @@ def stored_name(stem: str) -> str:
     name = unicodedata.normalize("NFC", stem)
     if len(name) > wire.MAX_TEXT or not name.isprintable():
         shown, limit = name[: wire.MAX_TEXT], wire.MAX_TEXT
-        raise SequenceError(f"file's name {shown!r} of {len(name)} characters: {limit} that are all seen are allowed")
+        raise SequenceError(
+            Message("sequence.file_name_characters_all_seen", shown=quoted(shown), name=len(name), limit=limit)
+        )
     return name
 
 

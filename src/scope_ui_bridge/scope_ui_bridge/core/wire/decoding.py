@@ -7,6 +7,7 @@ import re
 from typing import Any
 
 from icu_common.core.panel.gesture import GESTURES
+from icu_common.core.reasons.message import Message as Text
 from scope_ui_bridge.core.wire.fields import Fields
 from scope_ui_bridge.core.wire.refusal import Refusal
 from scope_ui_bridge.core.wire.requests import (
@@ -85,7 +86,7 @@ def _typed(raw: dict[str, Any]) -> Message:
         x, y, to_x, to_y = (read.length(name) if _LINE[0] in raw else math.nan for name in _LINE)
         line = None if math.isnan(x) else (x, y, to_x, to_y)
         if bool(control) + bool(point) + bool(line) > 1:
-            read.wrong("control", control, "either a control, a point or a line")
+            read.wrong("control", control, Text("request.either_control_point_line"))
         message = Select(**head, **read.picture(), control=control, point_px=point, to_px=to, line_m=line)
     elif kind == "act":
         gesture = read.choice("gesture", GESTURES)
@@ -125,7 +126,7 @@ def _teach(head: dict[str, Any], read: Fields) -> Teach:
         controls.append(PointedControl(name=name, kind=kind, pixel=(u, v), size_mm=(width, height), proud_mm=proud))
     corners = read.rows("corners", 2)
     if len(corners) != 4:
-        read.wrong("corners", len(corners), "four corners")
+        read.wrong("corners", len(corners), Text("request.four_corners"))
     (size,) = read.rows("size_mm", 2, single=True)
     return Teach(
         **head,

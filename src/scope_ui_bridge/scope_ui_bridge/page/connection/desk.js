@@ -7,7 +7,7 @@ import { has, t } from "../language/strings.js";
 import { Video } from "../picture/video.js";
 
 const AT_WORK = ["moving", "looking", "touching"]; // of the controller
-const REQUESTED = "stop requested"; // the driver's reason; the banner has who or what requested the stop
+const REQUESTED = "driver.stop_requested"; // the banner has who or what requested the stop
 
 class Desk {
   link = new Link();
@@ -132,10 +132,10 @@ const worded = (refusal) => (refusal ? t(refusal.code, explained(refusal.values)
 
 /** Sentences show the state's name in the page's language. */
 function explained(values = {}) {
-  const name = values.state && has(`state_${values.state}`) ? t(`state_${values.state}`, values) : values.state;
+  const name = values.state && has(`state_${values.state}`) ? t(`state_${values.state}`, { reason: said(values.reason) }) : values.state;
   const role = values.role ? t(`role_name_${values.role}`) : "";
   const field = values.field ? t(`field_${values.field}`) : "";
-  const reason = values.reason && values.reason !== REQUESTED ? `– ${said(values.reason)}` : "";
+  const reason = values.reason && values.reason.code !== REQUESTED ? `– ${said(values.reason)}` : "";
   return { ...values, role, field, state: name, reason, what: said(values.what), step: said(values.step) };
 }
 

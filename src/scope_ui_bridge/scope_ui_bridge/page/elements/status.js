@@ -31,7 +31,7 @@ export function chip(id, look, text, title = "") {
 /** The state's name for people: after a movement of the setup, a calibration is still used but less accurate than
 stated. */
 export function named({ state, reason }) {
-  return state === "calibrated" && reason.includes("; drift: ") ? "drifted" : state;
+  return state === "calibrated" && reason.code === "calibration.drifted" ? "drifted" : state;
 }
 
 /** Show a part's state; `more` is appended to its title. */

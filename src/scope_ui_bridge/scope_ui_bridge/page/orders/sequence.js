@@ -200,7 +200,7 @@ function item(step, state) {
   if (state === "failed" && run.reason) {
     const why = document.createElement("span");
     why.className = "why";
-    why.textContent = said(run.reason.replace(/^step \d+ of \d+, [^ ]+: /, ""));
+    why.textContent = said(run.reason.code === "sequence.step_failed" ? run.reason.values.cause : run.reason);
     line.append(why);
   }
   return line;

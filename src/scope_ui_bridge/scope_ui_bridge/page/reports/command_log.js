@@ -74,7 +74,7 @@ export class CommandLog {
     const fields = [...about, "error_mm", "bound_mm", "duration_s", "effect", "touch"];
     const cell = (value) => `"${String(value ?? "").replace(/^(?=[=+@\t\r]|-\D)/, "'").replaceAll('"', '""')}"`;
     const rows = [...this.#entries.values()].map((entry) =>
-      [new Date(entry.wall_ms).toISOString(), ...fields.slice(1).map((name) => entry[name])].map(cell).join(","),
+      [new Date(entry.wall_ms).toISOString(), ...fields.slice(1).map((name) => entry[name]?.text ?? entry[name])].map(cell).join(","),
     );
     return `${["time", ...fields.slice(1)].join(",")}\r\n${rows.join("\r\n")}\r\n`;
   }
@@ -90,7 +90,7 @@ export class CommandLog {
     this.#entries.set(entry.entry, entry);
     if (this.#rows.size > MAX_ROWS) this.#forget();
     row.dataset.status = entry.status;
-    row.dataset.action = entry.action.split(" ")[0];
+    row.dataset.action = entry.action.code ?? entry.action.split(" ")[0];
     const [time, what, result, error, who] = row.cells;
     time.textContent = timeText(entry.wall_ms);
     what.textContent = `${actionText(entry)} ${targetText(entry)}`.trim();
@@ -124,6 +124,7 @@ function errorText({ error_mm: error, bound_mm: bound }) {
 }
 
 export function actionText(entry) {
+  if (entry.action.code) return said(entry.action); // a goal of another client
   const [name, argument] = entry.action.split(" ");
   const value = Number(argument);
   const details =

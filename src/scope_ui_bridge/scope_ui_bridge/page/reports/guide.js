@@ -24,8 +24,8 @@ function boardsText() {
 
 function progress() {
   const { state, reason } = desk.state.calibration;
-  const [, done, all] = /^(\d+)\/(\d+)/.exec(state === "calibrating" ? reason : "") ?? [];
-  return { done: Number(done ?? 0), all: Number(all ?? 0) };
+  const { done = 0, total = 0 } = (state === "calibrating" && reason.values) || {};
+  return { done, all: total };
 }
 
 /** Add a position each time the count of measured positions has increased. */

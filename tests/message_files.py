@@ -1,18 +1,101 @@
-"""Messages of the graph's programs to the operator's page, collected from their source as templates.
+"""The message files of all languages, the messages that the programs make, and the texts left without a code.
 
-A template is a text with ``{}`` for each value. Texts that only a log, a terminal or a refused start shows are left
-out.
+A left text is collected from the source as a template, with ``{}`` for each value. A text that only a log, a terminal or a
+refused start shows is left out.
 """
 
 from __future__ import annotations
 
 import ast
-import json
 import re
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
+from fluent.syntax import FluentParser
+from fluent.syntax import ast as ftl
+from fluent.syntax.visitor import Visitor
+
 SRC = Path(__file__).resolve().parents[1] / "src"
+PAGE = SRC / "scope_ui_bridge" / "scope_ui_bridge" / "page"
+GRAPH = SRC / "icu_common" / "icu_common" / "messages" / "en.ftl"
+"""English sentences of the graph's programs."""
+MAKERS = ("Message", "Text")
+"""Names under which the modules of ``src`` know the class of messages."""
+
+
+class _Values(Visitor):
+    def __init__(self) -> None:
+        self.found: set[str] = set()
+        self.references: set[str] = set()
+
+    def visit_VariableReference(self, node: ftl.VariableReference) -> None:
+        self.found.add(node.id.name)
+
+    def visit_MessageReference(self, node: ftl.MessageReference) -> None:
+        self.references.add(node.id.name)
+
+
+def messages(*files: Path) -> dict[str, ftl.Message]:
+    """Return the messages of files by key; no key occurs twice, and no line is unreadable."""
+    found: dict[str, ftl.Message] = {}
+    for file in files:
+        for entry in FluentParser().parse(file.read_text(encoding="utf-8")).body:
+            assert not isinstance(entry, ftl.Junk), f"{file.name}: {entry.content!r}"
+            if isinstance(entry, ftl.Message):
+                assert entry.id.name not in found, f"{file.name}: {entry.id.name} stands twice"
+                assert entry.value is not None and not entry.attributes
+                found[entry.id.name] = entry
+    return found
+
+
+def values(key: str, known: dict[str, ftl.Message]) -> set[str]:
+    """Return the names of the values in a sentence, also in the sentences that it refers to."""
+    visitor = _Values()
+    visitor.visit(known[key])
+    return visitor.found.union(*(values(reference, known) for reference in visitor.references))
+
+
+def language(name: str) -> dict[str, ftl.Message]:
+    """Return the messages of a language."""
+    return messages(PAGE / "language" / f"{name}.ftl", *((GRAPH,) if name == "en" else ()))
+
+
+def languages() -> list[str]:
+    """Return the names of the languages."""
+    return sorted(file.stem for file in (PAGE / "language").glob("*.ftl"))
+
+
+@dataclass(frozen=True)
+class Made:
+    """A message that a module makes; ``more`` if it has values beyond those named there."""
+
+    code: str
+    values: frozenset[str]
+    more: bool
+    where: str
+
+
+def made() -> Iterator[Made]:
+    """Yield the messages with a constant code that the modules of ``src`` make."""
+    for path in sorted(SRC.rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id in MAKERS and node.args:
+                code = node.args[0]
+                for choice in (code.body, code.orelse) if isinstance(code, ast.IfExp) else (code,):
+                    if isinstance(choice, ast.Constant):
+                        names = frozenset(keyword.arg for keyword in node.keywords if keyword.arg)
+                        more = any(keyword.arg is None for keyword in node.keywords)
+                        yield Made(str(choice.value), names, more, f"{path.relative_to(SRC)}:{node.lineno}")
+
+
+def constants() -> set[str]:
+    """Return the constant texts in ``src``."""
+    trees = (ast.parse(path.read_text()) for path in SRC.rglob("*.py"))
+    nodes = (node for tree in trees for node in ast.walk(tree))
+    return {node.value for node in nodes if isinstance(node, ast.Constant) and isinstance(node.value, str)}
+
+
 FOLDERS = {"core", "nodes", "adapters", "pairing"}
 PACKAGES = ("gantry_driver", "harris_perception", "icu_common", "scope_ui_bridge")
 
@@ -22,10 +105,19 @@ ONLY_ELSEWHERE = {
         *("wrist_camera", "wrist_motion", "ball_measurement"),
         *("stereo_evaluation", "dense_stereo", "repeatability", "capture", "text_bounds"),
         *("stereo_folders", "picture_files", "stereo_calibration", "boundary_files", "boundary_evaluation"),
-        *("program_end", "option_bounds", "topic_names", "preparation"),
+        *("program_end", "option_bounds", "topic_names", "preparation", "message", "catalogue"),
     ),
     "programs that do not start, or the log": (
-        *("config", "machine_config", "controller_config", "parameters", "runtime", "camera_model", "frame_link"),
+        *(
+            "config",
+            "configuration_folder",
+            "machine_config",
+            "controller_config",
+            "parameters",
+            "runtime",
+            "camera_model",
+            "frame_link",
+        ),
         *(
             "camera_sources",
             "v4l2_source",
@@ -69,17 +161,8 @@ ONLY_ELSEWHERE = {
     ),
 }
 _UNSAID = re.compile(  # calls whose texts go to a log only, or to no reader
-    r"setting|re\.compile|Note|(Assertion|Runtime|Config|Calibration)Error|.*get_logger\(\)\..*|_?LOG\..*"
+    r"setting|re\.compile|Note|(Assertion|Runtime|Config|Calibration)Error|Message|Text|.*get_logger\(\)\..*|_?LOG\..*"
 )
-
-
-def german_phrases() -> dict[str, str]:
-    """Return the page's German for what the graph says, by its templates."""
-    page = SRC / "scope_ui_bridge" / "scope_ui_bridge" / "page"
-    lines = re.findall(r"^  (\[.*\]),$", (page / "language" / "phrases_de.js").read_text(), re.MULTILINE)
-    pairs = [json.loads(line) for line in lines]
-    assert len(pairs) == len(dict(pairs)) > 300, "no phrase stands twice"
-    return dict(pairs)
 
 
 def templates() -> dict[str, str]:
@@ -124,8 +207,3 @@ def _template(node: ast.AST) -> str:
     if isinstance(node, ast.JoinedStr):
         return "".join(str(part.value) if isinstance(part, ast.Constant) else "{}" for part in node.values)
     return ""
-
-
-if __name__ == "__main__":
-    for template, file in templates().items():
-        print(f"{file}: {template!r}")
