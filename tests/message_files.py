@@ -1,7 +1,7 @@
 """The message files of all languages, the messages that the programs make, and the texts left without a code.
 
-A left text is collected from the source as a template, with ``{}`` for each value. A text that only a log, a terminal or a
-refused start shows is left out.
+A left text is collected from the source as a template, with ``{}`` for each value. A text that only a log, a terminal
+or a refused start shows is left out.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""A further language is one file: a pseudo-language, every letter of which has an accent, renders the whole page."""
+"""A further language is one file: a pseudo-language with accented letters renders the whole page."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ GRAMMAR = {"screen", "effect", "press"}
 MONTHS = {"Jul"}
 """A month as the browser writes it, which knows no pseudo-language."""
 
-# What a person reads or hears of the page, without the log lines of programs, which are in English, and without what is
-# marked as another language: the name of the next one.
+# The page's texts for eyes and ears. The log lines of programs are left out, because they are in English, and so is text
+# that is marked as another language: the name of the next one.
 SHOWN = """() => {
   const lines = document.querySelector('#console');
   const texts = [];

@@ -1,4 +1,4 @@
-"""What one run of the acceptance test has measured; pure values, filled by the program."""
+"""Measured values of one run of the acceptance test, filled by the program."""
 
 from __future__ import annotations
 

@@ -42,7 +42,7 @@ def edge_blur_px(gray: npt.NDArray[np.uint8], mask: npt.NDArray[np.bool_]) -> fl
         for sign in (1.0, -1.0):
             rise, near = sign * first, np.ones(line, np.uint8)
             peak = (rise > MIN_CONTRAST) & (rise >= cv2.dilate(rise, near)) & (rise > 3 * along)
-            # A line has a fall beside its rise: blurred again, it fades more than a step does.
+            # A line has a fall next to its rise: blurred again, it fades more than a step does.
             step = peak & (cv2.erode(rise, near) > -_FLAT * rise) & mask
             ratio = rise[step] / np.maximum(sign * second[step], 1e-6)
             blurs.append(1.0 / np.sqrt(np.maximum(ratio**2 - 1.0, 1e-6)))

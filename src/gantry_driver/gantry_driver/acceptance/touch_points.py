@@ -14,7 +14,7 @@ STEP_M = 0.004
 EDGE_M = 0.006
 """Minimum distance of a point from the panel's edge and from a control: the ball, and what it may miss by."""
 TALL_M = 0.005
-"""Height above which a control needs more room: the shaft of the stylus passes beside it."""
+"""Height above which a control needs more room: the shaft of the stylus passes next to it."""
 TALL_EDGE_M = 0.010
 
 

@@ -1,7 +1,8 @@
 """Codes of a state topic, which its program reports on ``/diagnostics`` with the text.
 
-A status whose value ``topic`` is the full name of the state topic has the same text as its message, the code and the
-values of this text (:data:`icu_common.core.reasons.message.MESSAGE`), and the code by which programs decide.
+The value ``topic`` of such a status is the full name of the state topic, and its message is the same text. It also has
+the code and the values of this text (:data:`icu_common.core.reasons.message.MESSAGE`), and the code by which programs
+decide.
 """
 
 from __future__ import annotations

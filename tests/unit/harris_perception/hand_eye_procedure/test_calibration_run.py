@@ -152,7 +152,7 @@ TURN_RAD = np.array([0.0002, 0.0005, -0.0003])
 
 
 def uncorrected(tip: np.ndarray) -> np.ndarray:
-    """Return a tip (3,) m as the calibration files alone tell it, of a right camera that has turned by ``TURN_RAD``."""
+    """Return a tip (3,) m by the calibration files alone, of a right camera that has turned by ``TURN_RAD``."""
     true = turned_right(CAMERAS, TURN_RAD)
     left, right = CAMERAS.left.project(tip), true.project_right(tip)
     return CAMERAS.triangulate(CAMERAS.left.rectify(left), CAMERAS.right.rectify(right))[0]

@@ -37,7 +37,7 @@ def test_figures_of_the_page_are_those_that_are_drawn() -> None:
 
 
 def test_response_is_that_of_the_eigenvalues(figures: dict[str, Any]) -> None:
-    """What the plane of eigenvalues shows is the detector's own response."""
+    """The plane of eigenvalues shows the detector's own response."""
     picture = figures["chart"]()
     large, small = figures["eigenvalues"](picture)
     response = figures["HarrisDetector"](figures["CONFIG"]).response(picture)

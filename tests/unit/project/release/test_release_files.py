@@ -1,4 +1,4 @@
-"""What a release needs: one version, a changelog in the usual form, licences, declarations, and the same checks."""
+"""Files of a release: one version, a changelog in the usual form, licences, declarations, and the same checks."""
 
 from __future__ import annotations
 

@@ -46,14 +46,13 @@ def test_closing_a_server_whose_thread_is_ending_waits_for_that_end(monkeypatch:
     monkeypatch.setattr(asyncio, "new_event_loop", EndsLate)
     server = Rig().server
     with ThreadPoolExecutor() as pool:
-        first = pool.submit(server.close)
+        server._loop.call_soon_threadsafe(server._closing.set)
         assert closed.wait(WITHIN_S)
-        second = pool.submit(server.close)  # the loop is closed and its thread still alive
+        closing = pool.submit(server.close)  # the loop is closed and its thread still alive
         with pytest.raises(StillWaiting):
-            second.result(timeout=0.2)
+            closing.result(timeout=0.2)
         may_end.set()
-        first.result(WITHIN_S)
-        second.result(WITHIN_S)
+        closing.result(WITHIN_S)
     assert not server.alive
 
 

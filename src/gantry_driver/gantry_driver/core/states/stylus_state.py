@@ -17,7 +17,7 @@ MAY_PRESS = Message("stylus.stylus_not_lifted_may_still")
 MAY_SINK = Message("stylus.servo_may_without_pulses_sink")
 IS_RELEASED = Message("stylus.solenoid_without_power_stylus_up")
 LEFT = frozenset(message.code for message in (MAY_PRESS, MAY_SINK, IS_RELEASED))
-"""Codes of the clauses of a state's reason that tell how the stylus was left."""
+"""Codes of the clauses of a state's reason that report how the stylus was left."""
 
 
 class Stylus(Enum):
