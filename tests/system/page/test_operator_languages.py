@@ -33,8 +33,8 @@ GRAMMAR = {"screen", "effect", "press"}
 MONTHS = {"Jul"}
 """A month as the browser writes it, which knows no pseudo-language."""
 
-# The page's texts for eyes and ears. The log lines of programs are left out, because they are in English, and so is text
-# that is marked as another language: the name of the next one.
+# The page's texts for eyes and ears. The log lines of programs are left out, because they are in English. Text that is
+# marked as another language is left out too: the name of the next one.
 SHOWN = """() => {
   const lines = document.querySelector('#console');
   const texts = [];

@@ -17,7 +17,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from gantry_driver.adapters.guard.places import guard_path, peer_process, sample_threads
+from gantry_driver.adapters.guard.places import guard_path, peer_process, received, sample_threads
 from gantry_driver.adapters.wake_pipe import WakePipe
 from gantry_driver.core.configuration.machine_config import DriverConfig
 from gantry_driver.core.grbl.trajectory_gcode import Waypoint
@@ -249,7 +249,7 @@ class GuardLink:
             if self._wake_pipe.read_fd in ready:
                 self._stop_by_signals()
             if connection.fileno() in ready:
-                data = _received(connection)
+                data = received(connection)
                 if not data:
                     return GUARD_ENDED
                 watch.beat(steady_s())
@@ -389,14 +389,6 @@ class GuardLink:
     def _wait(self, seconds: float) -> None:
         if not self._closing and select.select([self._wake_pipe.read_fd], [], [], seconds)[0]:
             self._stop_by_signals()
-
-
-def _received(connection: socket.socket) -> bytes:
-    """Return the received bytes, none at the end; a killed guard with unread bytes ends the connection by a reset."""
-    try:
-        return connection.recv(1024 * 1024)
-    except ConnectionResetError:
-        return b""
 
 
 def _result(goal_id: str, goal: str, outcome: Outcome, reason: str) -> GoalResult:

@@ -149,8 +149,21 @@ def next_stops(
     return sets[_aims(config).best(known, sets, [seconds(at, stops) for stops in sets])]
 
 
-def rest_gain(config: RunConfig, known: Array, visited: set[tuple[float, float]], *, see_tip: bool = True) -> float:
-    """Return the share by which all positions that are left would reduce the predicted error; see ``next_stops``."""
+def is_worth_more(
+    config: RunConfig, error_m: float, known: Array, visited: set[tuple[float, float]], *, see_tip: bool = True
+) -> bool:
+    """Return whether further positions are worth their time; noisy cameras leave an error that they cannot reduce.
+
+    ``enough_m`` of 0 requests all positions; see :func:`next_stops` for the parameters.
+    """
+    if error_m <= config.enough_m or config.enough_m == 0.0:
+        return error_m > config.enough_m
+    gain = _rest_gain(config, known, visited, see_tip)
+    return gain >= config.least_gain or error_m * (1.0 - gain) <= config.enough_m
+
+
+def _rest_gain(config: RunConfig, known: Array, visited: set[tuple[float, float]], see_tip: bool) -> float:
+    """Return the share by which all positions that are left would reduce the predicted error."""
     left = [stop for stops in _grid(config, see_tip) if (stops[0].x, stops[0].y) not in visited for stop in stops]
     if not left:
         return 0.0

@@ -16,7 +16,7 @@ from harris_perception.core.hand_eye.carriage_camera import Contact
 from harris_perception.core.hand_eye.degeneracy import DegenerateError, MisfitError
 from harris_perception.core.hand_eye.hand_eye_config import HandEyeConfig
 from harris_perception.core.hand_eye_procedure.calibration_look import Look, Patience, Rest
-from harris_perception.core.hand_eye_procedure.calibration_plan import RunConfig, next_stops, plan, rest_gain
+from harris_perception.core.hand_eye_procedure.calibration_plan import RunConfig, is_worth_more, next_stops, plan
 from harris_perception.core.hand_eye_procedure.calibration_solution import Failed, Finished, Samples
 from harris_perception.core.hand_eye_procedure.calibration_tour import SAMPLED, Purpose, Stop, seconds
 from harris_perception.core.hand_eye_procedure.lowering_check import LoweringCheck
@@ -362,7 +362,8 @@ class CalibrationRun:
                 return self._fail(str(solved))
             return list(self._again(now_ns))
         used = solved.fit.used.tolist()
-        if self._is_worth_more(self._samples.error_m(solved), used) and self._go_on(used):
+        known, fitted, error_m = self._known(used), self._fitted_places(), self._samples.error_m(solved)
+        if is_worth_more(self._config, error_m, known, fitted, see_tip=self._see_tip) and self._go_on(used):
             return list(self._again(now_ns))
         self.over = True
         return [self._progress(now_ns), self._samples.check(solved)]
@@ -370,17 +371,6 @@ class CalibrationRun:
     def _again(self, now_ns: int) -> Iterator[Action]:
         self._index -= 1
         yield from self._next(now_ns)
-
-    def _is_worth_more(self, error_m: float, used: Sequence[bool]) -> bool:
-        """Return whether further positions are worth their time; noisy cameras leave an error that they cannot reduce.
-
-        ``enough_m`` of 0 requests all positions.
-        """
-        config = self._config
-        if error_m <= config.enough_m or config.enough_m == 0.0:
-            return error_m > config.enough_m
-        gain = rest_gain(config, self._known(used), self._fitted_places(), see_tip=self._see_tip)
-        return gain >= config.least_gain or error_m * (1.0 - gain) <= config.enough_m
 
     def _known(self, used: Sequence[bool]) -> Array:
         """Return the readings (N, 3) m of the samples that count; all of them if ``used`` is empty."""

@@ -173,7 +173,7 @@ class Calibrator:
     def take_panel(self, stamp_ns: int, pose: Transform, now_ns: int) -> list[Action]:
         """Add camera_from_panel."""
         self._panel = pose
-        self._tell_run_the_face()
+        self._inform_run()
         if self._on_carriage:
             return self._take_sighting(self.sightings.add(0, stamp_ns, (stamp_ns, pose)), now_ns)
         self.watch.panel(stamp_ns, pose, FacePoints.joined([]))
@@ -195,21 +195,20 @@ class Calibrator:
         """Set the rotation of the right camera, which the stylus tracker corrects once it is known."""
         if state.code is not PairCode.CHANGING:
             self._pair = state.stamp_ns, state.rotation_rad
-            self._tell_run_the_pair()
-
-    def _tell_run_the_pair(self) -> None:
-        if self._run is not None and self._pair is not None:
-            self._run.pair(*self._pair)
+            self._inform_run()
 
     def take_controls(self, controls: dict[str, Array]) -> None:
         """Set the controls' positions (3,) m in panel_link, by name."""
         self._controls = controls
-        self._tell_run_the_face()
+        self._inform_run()
 
-    def _tell_run_the_face(self) -> None:
-        if self._run is not None:
-            tallest = max((float(place[2]) for place in self._controls.values()), default=0.0)
-            self._run.keep_clear_of(self._panel, tallest + self.config.ball_radius_m)
+    def _inform_run(self) -> None:
+        if self._run is None:
+            return
+        tallest = max((float(place[2]) for place in self._controls.values()), default=0.0)
+        self._run.keep_clear_of(self._panel, tallest + self.config.ball_radius_m)
+        if self._pair is not None:
+            self._run.pair(*self._pair)
 
     def take_settings(self, text: str, now_ns: int) -> list[Action]:
         """Set the board's settings."""
@@ -261,9 +260,8 @@ class Calibrator:
         if self._run is not None:
             raise Refused(Message("calibration.calibration_already_running"))
         if state_name(self.driver) != "idle":
-            raise Refused(
-                Message("calibration.driver_says_connected_homed_idle", driver=quoted(as_message(self.driver)))
-            )
+            driver = quoted(as_message(self.driver))
+            raise Refused(Message("calibration.driver_says_connected_homed_idle", driver=driver))
         cameras, config = self._conditions.pair(), self.config
         try:
             check_plan(config.run, config.solver)
@@ -274,8 +272,7 @@ class Calibrator:
         # The controller still converts goals into readings with the calibration that it has.
         axes = None if self.stored is None else self.stored.base_from_reading
         self._run = CalibrationRun(config.run, config.still, config.solver, cameras, now_ns, axes, tuple(self.contacts))
-        self._tell_run_the_face()
-        self._tell_run_the_pair()
+        self._inform_run()
         return self._follow(self._run.start(now_ns), now_ns)
 
     def add_sample(self, now_ns: int) -> str:
