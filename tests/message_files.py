@@ -105,6 +105,7 @@ ONLY_ELSEWHERE = {
         *("wrist_camera", "wrist_motion", "ball_measurement"),
         *("stereo_evaluation", "dense_stereo", "repeatability", "capture", "text_bounds"),
         *("stereo_folders", "picture_files", "stereo_calibration", "boundary_files", "boundary_evaluation"),
+        *("marker_sheet", "print_page"),
         *("program_end", "option_bounds", "topic_names", "preparation", "message", "catalogue"),
     ),
     "programs that do not start, or the log": (

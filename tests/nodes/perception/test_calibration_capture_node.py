@@ -59,7 +59,7 @@ def test_still_and_new_moments_are_kept_from_both_cameras(ros: Any, tmp_path: Pa
     names = ("x", "y", "size", "skew")
     assert values["progress"].startswith("2/2 views; ")  # what the page shows, with the reaches
     told = {"progress", "views", "wanted", *names, *(f"{name}_missing" for name in names)}
-    assert set(values) == {*told, "node", "process"}
+    assert set(values) == {*told, "message", "node", "process"}
     assert (values["views"], values["wanted"]) == ("2", "2")
     assert "tilt the board" in values["skew_missing"]
     ros.spin_until(lambda: coverage and coverage[-1].data == lines[-1], 10, lambda: lines)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -47,7 +48,7 @@ def started(
         def watch(self, _: float) -> None:
             self.misconfigured = ["the test's end"]
 
-        def stop(self) -> list[str]:
+        def stop(self, on_ended: Callable[[str, float], None]) -> list[str]:
             return []
 
     monkeypatch.setattr(graph_run, "ProcessGroup", Reader)

@@ -36,7 +36,7 @@ FOLDER = Path(__file__).resolve().parents[4] / "docs" / "decisions"
 
 WIRE = [
     f"{watch.TUBE_MM:g} mm: two motor steps of 1/{BOARD.steps_per_mm[0]:g} mm",
-    f"to the arrival of this one and {watch.REPORT_LATE_S:g} s:",
+    f"to the arrival of this one and {watch.REPORT_LATE_S:g} s.",
     f"The board's speed in a report is at most {watch.SEGMENTS_S:g} s ahead of its position",
     f"{watch.FEED_SHARE:g} times the highest feed of the part",
     f"will be in {watch.PREPARED_S:g} s, and {watch.FEED_MM_MIN:g} mm/min",

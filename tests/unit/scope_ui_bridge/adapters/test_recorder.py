@@ -226,7 +226,7 @@ def test_every_page_sees_that_a_recording_has_ended_by_itself(tmp_path: Path, mo
             for page in (operator, other):
                 ended = await page.until(lambda m: m["type"] == "log" and m["entry"]["who"] == "bag_record")
                 assert ended["entry"]["status"] == "failed"
-                assert ended["entry"]["reason"] == "bag_record ended with 1; the disk is full"
+                assert ended["entry"]["reason"]["text"] == "bag_record ended with 1; the disk is full"
 
     with web_rig.Rig(record_folder=str(tmp_path / "sessions")) as rig:
         asyncio.run(scenario(rig))
