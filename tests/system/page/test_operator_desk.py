@@ -1334,7 +1334,7 @@ def test_engineers_read_what_the_programs_say(operator: Operator, instrument: In
         const { sampleGuide } = await import('/page/reports/guide.js');
         const { state } = desk;
         places.forEach((position_mm, at) => {
-            desk.state = { ...state, position_mm, calibration: { state: "calibrating", reason: `${at + 1}/12` } };
+            desk.state = { ...state, position_mm, calibration: { state: "calibrating", reason: { values: { done: at + 1, total: 12 } } } };
             sampleGuide();
         });
         desk.state = state;

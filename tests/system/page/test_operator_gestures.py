@@ -303,18 +303,18 @@ def test_a_confirmation_starts_only_the_sequence_that_it_was_asked_for(person: O
     page.fill("#sequence-text", "press:MENU")
     person.until(lambda: page.is_enabled("#sequence-start"), 60.0, lambda: page.inner_text("#sequence-said"))
     page.click("#sequence-start")
-    person.sees("#sequence-start", "Confirm: start 1 steps")
+    person.sees("#sequence-start", "Confirm: start 1 step")
     page.evaluate("""() => {
         const event = new MouseEvent('click', { bubbles: true, detail: 1 });
         Object.defineProperty(event, 'timeStamp', { value: performance.now() - 2000 });
         document.getElementById('sequence-start').dispatchEvent(event);
     }""")  # it waited while the page was held up, and was made before the page has asked
-    person.sees("#sequence-start", "Confirm: start 1 steps")
+    person.sees("#sequence-start", "Confirm: start 1 step")
     page.fill("#sequence-text", "press:RUN_STOP\npress:SAVE")
     page.click("#sequence-start")
     person.sees("#sequence-start", "Confirm: start 2 steps")
     page.fill("#sequence-text", "press:RUN_STOP")
-    person.sees("#sequence-start", "^Start 1 steps")
+    person.sees("#sequence-start", "^Start 1 step$")
     assert page.locator("#log tr").count() == rows, "nothing was sent"
 
 

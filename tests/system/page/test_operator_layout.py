@@ -309,7 +309,7 @@ def test_without_a_link_sequence_and_calibration_are_not_told_as_of_now(
     operator.sees("#sequence-said", "Step 2 of 3 is at work. STOP ends the sequence")
     assert signs("#sequence-steps") == ["✓", "▶", "○"]
     page.click("#tab-calibrate")
-    operator.sees("#calibration-text", "Calibrated – rms 0.08 mm")
+    operator.sees("#calibration-text", "Calibrated – 12 samples, rms 0.080 mm")
     operator.sees("#guide-numbers", "measured 0.080 mm rms")
     assert signs("#panel-calibrate")[0] == "✓"
     instrument.bridge.send_signal(signal.SIGSTOP)
@@ -330,7 +330,7 @@ def test_without_a_link_sequence_and_calibration_are_not_told_as_of_now(
     finally:
         instrument.bridge.send_signal(signal.SIGCONT)
     page.click("#tab-calibrate")
-    operator.sees("#calibration-text", "Calibrated – rms 0.08 mm")
+    operator.sees("#calibration-text", "Calibrated – 12 samples, rms 0.080 mm")
     operator.until(lambda: signs("#panel-calibrate")[0] == "✓", 20.0, lambda: page.inner_text("#panel-calibrate"))
 
 
