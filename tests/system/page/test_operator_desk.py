@@ -1334,7 +1334,8 @@ def test_engineers_read_what_the_programs_say(operator: Operator, instrument: In
         const { sampleGuide } = await import('/page/reports/guide.js');
         const { state } = desk;
         places.forEach((position_mm, at) => {
-            desk.state = { ...state, position_mm, calibration: { state: "calibrating", reason: { values: { done: at + 1, total: 12 } } } };
+            const reason = { values: { done: at + 1, total: 12 } };
+            desk.state = { ...state, position_mm, calibration: { state: "calibrating", reason } };
             sampleGuide();
         });
         desk.state = state;
