@@ -27,7 +27,7 @@ class HeightConfig(Config):
         unit="m",
     )
     look_sigma_m: float = setting(
-        0.00016,
+        0.00006,
         "Standard deviation of the ball's height above one control, which repetition does not show, relative to its "
         "readings: another background than that of the other controls",
         minimum=0.0,
