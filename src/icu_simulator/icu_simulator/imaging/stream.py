@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -31,15 +31,23 @@ class CameraStream:
     def __init__(self) -> None:
         self._last: dict[int, Picture] = {}
 
-    def take(self, config: BenchConfig, bench: Bench, renderer: Renderer, now_s: float) -> list[CameraImage]:
-        """Return the images that arrive at ``now_s``, none or one of each camera."""
+    def take(self, config: BenchConfig, bench: Bench, renderer: Renderer, now_s: float) -> Iterator[CameraImage]:
+        """Yield the images that arrive at ``now_s``, none or one of each camera, each as soon as it is drawn."""
         return self.render(shots(config, now_s), config, bench, renderer)
 
-    def render(self, due: Sequence[Shot], config: BenchConfig, bench: Bench, renderer: Renderer) -> list[CameraImage]:
-        """Return the images of shots that :func:`icu_simulator.imaging.timing.shots` has returned."""
+    def render(
+        self, due: Sequence[Shot], config: BenchConfig, bench: Bench, renderer: Renderer
+    ) -> Iterator[CameraImage]:
+        """Yield the images of shots that :func:`icu_simulator.imaging.timing.shots` has returned."""
         half_s = ShutterTimes.of(config.imaging).half_s(config.camera.height_px)
-        fresh = {s.camera: s for s in due if not (s.repeated and s.camera in self._last)}
-        if fresh:
-            moments = {camera: bench.moment(shot.exposure_s, half_s) for camera, shot in fresh.items()}
-            self._last.update(renderer.render_each(moments))
-        return [CameraImage(camera=s.camera, stamp_s=s.stamp_s, picture=self._last[s.camera]) for s in due]
+        repeated = [s for s in due if s.repeated and s.camera in self._last]
+        fresh = {s.camera: s for s in due if s not in repeated}
+        for shot in repeated:
+            yield self._image(shot)
+        moments = {camera: bench.moment(shot.exposure_s, half_s) for camera, shot in fresh.items()}
+        for camera, picture in renderer.render_each(moments):
+            self._last[camera] = picture
+            yield self._image(fresh[camera])
+
+    def _image(self, shot: Shot) -> CameraImage:
+        return CameraImage(camera=shot.camera, stamp_s=shot.stamp_s, picture=self._last[shot.camera])

@@ -211,8 +211,7 @@ class Simulation:
             if steps.now_ns >= next_frame_ns:
                 self._expose(steps.now_s, steps.now_ns)
                 next_frame_ns += round(1e9 / self._config.camera.rate_hz)
-            given_up_s = time.monotonic() + PATIENCE_S
-            self._serve_until(lambda: self._images.flush() or time.monotonic() > given_up_s)  # noqa: B023
+            self._deliver()
             self._serve_until(lambda: self._board_settled(steps))
             self._write_log()
 
@@ -246,11 +245,18 @@ class Simulation:
             return
         self._renderer.follow_panel(self._bench.panel_from)
         images = self._stream.take(self._config, self._bench, self._renderer, exposure_s)
-        if not images:  # both cameras lost their images
-            return
-        stamps_ns = [stamp_ns - round((exposure_s - image.stamp_s) * 1e9) for image in images]
-        self._images.send(images, stamps_ns)
+        # In steps, the graph processes each image while the next one is drawn.
+        for group in ([image] for image in images) if self._steps is not None else (list(images),):
+            if group:  # else both cameras lost their images
+                self._deliver()
+                self._images.send(group, [stamp_ns - round((exposure_s - image.stamp_s) * 1e9) for image in group])
         self._render_s = time.monotonic() - begin_s
+
+    def _deliver(self) -> None:
+        """In steps, wait until every reader has the images sent before."""
+        if self._steps is not None:
+            given_up_s = time.monotonic() + PATIENCE_S
+            self._serve_until(lambda: self._images.flush() or time.monotonic() > given_up_s)
 
     def _reconfigure(self, config: BenchConfig) -> None:
         self._bench.reconfigure(config)
