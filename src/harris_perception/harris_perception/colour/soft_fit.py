@@ -167,3 +167,18 @@ def _expect(normal: Array, known: Array, index: int, missing: float, sigma: floa
     """Add the observation that the unknown ``index`` differs from its expected value by ``missing``."""
     normal[index, index] += 1 / sigma**2
     known[index] += missing / sigma**2
+
+
+def warm() -> None:
+    """Compile the code that a fit needs, or load it from the cache, so that the first image is not late."""
+    at = np.stack(np.meshgrid(np.arange(-5.0, 6.0), np.arange(-5.0, 6.0)), axis=-1).reshape(-1, 2)
+    inside = np.hypot(*at.T) < 3.0
+    channel = Channel(
+        values=100.0 * inside,
+        around=np.zeros(len(at)),
+        use=np.hypot(*at.T) < 5.0,
+        blur_px=0.6,
+        blur_sigma_px=0.15,
+        noise=6.0,
+    )
+    fit_soft(at, [channel, channel], np.zeros(2), 3.0)
