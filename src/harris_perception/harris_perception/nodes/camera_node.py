@@ -105,7 +105,7 @@ class CameraNode(GraphNode):
             Eye(self, "right", frame_names.CAMERA_RIGHT, config.right_calibration),
         ]
         self._ages_ms: deque[float] = deque(maxlen=100)
-        self._taken, self._seen, self._quiet_s = [0, 0], 0, 0.0
+        self._seen, self._quiet_s = 0, 0.0
         clock = self.get_clock()
         self._now_ns = lambda: int(clock.now().nanoseconds)
         self._ledger = this_process.ledger if config.source == "bench" else None
@@ -146,16 +146,13 @@ class CameraNode(GraphNode):
         cameras = frames.cameras or range(len(frames.pictures))
         for index, picture, stamp_ns in zip(cameras, frames.pictures, frames.stamps_ns):
             self._eyes[index].publish(picture, stamp_ns)
-            self._taken[index] += 1
         self._ages_ms.append((self._now_ns() - frames.stamps_ns[0]) / 1e6)
         if self._ledger is not None:
             self._ledger.finish(FRAMES)
 
     def _report(self) -> None:
         status = self._capture.status
-        # The images of a pair may arrive together or one by one.
-        taken = max(self._taken)
-        rate_hz, self._seen = (taken - self._seen) / self._period_s, taken
+        rate_hz, self._seen = (status.pictures - self._seen) / self._period_s, status.pictures
         self._quiet_s = 0.0 if rate_hz or status.state != "running" else self._quiet_s + self._period_s
         complaints = [eye.complaint for eye in self._eyes if eye.complaint]
         complaints += [finding.text for finding in self._findings]
@@ -166,7 +163,7 @@ class CameraNode(GraphNode):
         level = "error" if failing else "warn" if complaints or status.state != "running" else "ok"
         values: list[tuple[str, Any]] = [
             ("source", self._source),
-            ("pictures", taken),
+            ("pictures", status.pictures),
             ("rate_hz", f"{rate_hz:.1f}"),
             ("age_when_published_ms", f"{max(self._ages_ms, default=0.0):.1f}"),
             ("failures", status.failures),

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import cv2
@@ -193,10 +193,11 @@ class Renderer:
 
     def render(self, moment: Moment) -> list[Picture]:
         """Return the left and right image of one moment, each (H, W, 3) BGR."""
-        return [picture for _, picture in self.render_each({0: moment, 1: moment})]
+        return list(self.render_each({0: moment, 1: moment}).values())
 
-    def render_each(self, moments: Mapping[int, Moment]) -> Iterator[tuple[int, Picture]]:
-        """Yield each camera, 0 is the left one, with its image at its own moment, (H, W, 3) BGR, as soon as drawn."""
+    def render_each(self, moments: Mapping[int, Moment]) -> dict[int, Picture]:
+        """Return the image, (H, W, 3) BGR, of each camera at its own moment; 0 is the left camera."""
+        result: dict[int, Picture] = {}
         drawn_of: Moment | None = None
         for index, given in moments.items():
             moment = given
@@ -212,7 +213,8 @@ class Renderer:
             sensor = self._sensors[index]
             if not sensor.adds_noise:
                 picture = self._with_noise(picture, rng)
-            yield index, sensor.develop(picture, moment.now_s)
+            result[index] = sensor.develop(picture, moment.now_s)
+        return result
 
     def _seen_from_carriage(self, moment: Moment) -> Moment:
         """Return the moment with the stylus at the position that cameras on the carriage see."""

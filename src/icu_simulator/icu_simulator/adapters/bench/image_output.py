@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -12,7 +11,7 @@ from icu_common.adapters.steps.step_ledger import StepLedger
 from icu_simulator.imaging.stream import CameraImage
 
 SEND_S = 0.03
-"""Maximum seconds to wait until readers have taken the images; the rest of them follows later."""
+"""Maximum seconds to wait until readers have taken a pair; the rest of it follows later."""
 CAMERA_STATES = ("ok", "frozen", "unplugged")
 
 
@@ -32,19 +31,15 @@ class ImageOutput:
         State of the cameras, one of ``CAMERA_STATES``.
     readers
         Number of readers at the last exposure.
+    sent
+        Number of sent pairs.
     """
 
     def __init__(self, path: Path | None, ledger: StepLedger | None) -> None:
         self._path, self._ledger = path, ledger
         self._server: FrameServer | None = None
         self.state = "ok"
-        self.readers = 0
-        self._sent: Counter[int] = Counter()
-
-    @property
-    def sent(self) -> int:
-        """Number of images sent by the camera that sent most."""
-        return max(self._sent.values(), default=0)
+        self.readers = self.sent = 0
 
     def open(self) -> None:
         """Create the socket, if it does not exist.
@@ -89,7 +84,7 @@ class ImageOutput:
         deadline = time.monotonic() + SEND_S
         while not server.flush() and (left := deadline - time.monotonic()) > 0:
             server.wait_writable(left)
-        self._sent.update(image.camera for image in images)
+        self.sent += 1
 
     def flush(self) -> bool:
         """Continue to send; return whether everything is sent."""
