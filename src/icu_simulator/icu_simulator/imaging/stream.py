@@ -27,7 +27,7 @@ class CameraImage:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Exposure:
-    """What the cameras see at one time: the shots, and the scene of each camera that takes a new image."""
+    """One exposure: its shots, and the moment of each camera that takes a new image."""
 
     shots: tuple[Shot, ...]
     moments: dict[int, Moment]
