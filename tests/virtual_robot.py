@@ -416,7 +416,7 @@ class VirtualRobot:
         self.pictures += 1
         self.bench.advance(self.now)
         self.renderer.follow_panel(self.bench.panel_from)
-        images = self._stream.render(due, self.config, self.bench, self.renderer)
+        images = self._stream.render(self._stream.expose(due, self.config, self.bench), self.renderer)
         return {image.camera: image.picture for image in images}
 
     def _expose(self) -> None:

@@ -11,10 +11,12 @@ import numpy.typing as npt
 from geometry_msgs.msg import PointStamped
 from std_msgs.msg import Header
 
+from harris_perception.colour.soft_fit import warm
 from harris_perception.core.image.gray import bgr_of, has_color
 from harris_perception.core.stylus.stylus import StylusTracker
 from harris_perception.core.stylus.stylus_config import StylusConfig
 from harris_perception.nodes.alignment.panel_check import PanelCheck
+from harris_perception.nodes.compiling import compiling
 from harris_perception.nodes.stereo_calibration import StereoCalibration
 from harris_perception.pairing.free_pairs import FreePairs, Pair
 from harris_perception.pairing.free_tips import FreeTips
@@ -144,6 +146,12 @@ def _color(image: ReceivedImage) -> npt.NDArray[np.uint8]:
     if not has_color(image.encoding):
         raise ValueError(f"encoding {image.encoding!r} has no color, by which the ball is found")
     return bgr_of(picture, image.encoding)
+
+
+def preload() -> None:
+    """Load the machine code of the fit; the server that forks programs does this once for all programs."""
+    with compiling(None):
+        warm()
 
 
 def main() -> int:
