@@ -142,4 +142,11 @@ class CallService(Order):
     service: str
 
 
-Effect = Send | Broadcast | End | Heartbeat | Ping | StopNow | Record | Order | HoldPicture
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Repeat:
+    """An order that was sent before, and whose record is on disk; the same events drop it."""
+
+    order: Order
+
+
+Effect = Send | Broadcast | End | Heartbeat | Ping | StopNow | Record | Order | Repeat | HoldPicture
