@@ -163,7 +163,8 @@ class Desk:
         if isinstance(message, wire.Blind):
             if viewer != self.lease.holder or not self.moving:
                 return []
-            return self._stops.unseen("stopped_page_blind", message.silence_ms / 1e3, now)
+            silence_s, limit_s = message.silence_ms / 1e3, self.config.frame_stale_s
+            return self._stops.unseen("stopped_page_blind", silence_s, limit_s, now)
         if isinstance(message, wire.Lease):
             effects = self._handover.step(viewer, message, now)
             return [*effects, self._feed.state_effect(now), _answer(viewer, message.seq)]
