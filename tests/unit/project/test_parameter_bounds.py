@@ -29,7 +29,7 @@ GUARDS = {
     DriverConfig: {
         *("heartbeat_timeout_s", "moving_status_rate_hz", "touch_status_rate_hz", "status_timeout_s"),
         *("hold_timeout_s", "homing_timeout_s", "goal_max_age_s", "max_rest_extended_s", "lift_on_stop"),
-        "attendance_timeout_s",
+        *("attendance_timeout_s", "node_silence_s"),
         *(f"envelope.{name}" for name in ENVELOPE),
     },
     ControllerConfig: {
