@@ -62,6 +62,8 @@ def test_a_pose_that_is_not_newer_than_the_last_is_ignored() -> None:
 def test_the_stamp_is_that_of_the_newest_pose_and_nothing_is_left_of_poses_in_doubt() -> None:
     estimate = taken((5, pose(0.045)), (7, pose(0.045)))
     assert estimate.stamp_ns == 7
+    estimate.take(pose(0.045), 9)
+    assert estimate.stamp_ns == 9
     estimate.forget()
     assert estimate.stamp_ns == 0 and plane(estimate) is None
     estimate.take(pose(), 6)
