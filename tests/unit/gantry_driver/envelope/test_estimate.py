@@ -80,6 +80,17 @@ def test_a_plane_is_told_at_the_middle_of_the_face() -> None:
     assert found.slope == pytest.approx((math.tan(0.1), 0.0), abs=1e-12)
 
 
+def test_a_plane_that_leans_along_both_axes_passes_through_the_middle_of_the_face() -> None:
+    tilt = np.array([[1.0, 0.0, 0.0], [0.0, math.cos(0.2), -math.sin(0.2)], [0.0, math.sin(0.2), math.cos(0.2)]])
+    leaning = Transform(pose(lean=0.1).rotation @ tilt, pose().translation)
+    found = plane(taken((1, leaning), (2, leaning)))
+    assert found is not None
+    x, y, z = leaning.apply(np.array([0.16, 0.07, 0.0]))
+    assert found.at_m == pytest.approx((x, y, -z - BALL_M), abs=1e-12)
+    nx, ny, nz = leaning.rotation[:, 2]
+    assert found.slope == pytest.approx((nx / nz, ny / nz), abs=1e-12)
+
+
 def test_poses_that_do_not_scatter_are_as_sure_as_recognition_and_calibration() -> None:
     found = plane(taken((1, pose()), (2, pose())))
     assert found is not None
