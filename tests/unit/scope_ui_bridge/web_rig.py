@@ -36,6 +36,7 @@ PATIENT = {
 class RecordingGraph:
     def __init__(self) -> None:
         self.calls: list[tuple[Any, ...]] = []
+        self.causes: list[Any] = []
         self.refuses = ""
         self.on_call: Callable[[], None] = lambda: None
 
@@ -44,8 +45,9 @@ class RecordingGraph:
     def ros_ns(self) -> int:
         return time.time_ns()
 
-    def stop(self, answered: Callable[[bool, str], None]) -> None:
+    def stop(self, answered: Callable[[bool, str], None], cause: str = "") -> None:
         self.calls.append(("stop",))
+        self.causes.append(cause)
         answered(True, "")
 
     def heartbeat(self) -> None:

@@ -27,8 +27,8 @@ class GraphPort(Protocol):
         """Return ROS time in ns."""
         ...
 
-    def stop(self, answered: Callable[[bool, str], None]) -> None:
-        """Stop by every available path; never raises.
+    def stop(self, answered: Callable[[bool, str], None], cause: str = ...) -> None:
+        """Stop by every available path, and log the cause; never raises.
 
         ``answered`` is called once, in any thread, when the driver has answered or when there is no driver. A driver
         that hangs causes no call.

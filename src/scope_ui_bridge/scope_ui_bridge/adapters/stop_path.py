@@ -45,7 +45,7 @@ class StopPath:
 
     def send(self, stop: StopNow) -> None:
         """Stop the machine by every path, then record it."""
-        self._graph.stop(functools.partial(self._answered, stop.entry))
+        self._graph.stop(functools.partial(self._answered, stop.entry), stop.cause)
         self._write_later(stop.record)
 
     @staticmethod

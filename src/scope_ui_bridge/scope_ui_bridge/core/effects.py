@@ -6,6 +6,8 @@ import math
 from dataclasses import dataclass, field
 from typing import Any
 
+from icu_common.core.reasons.message import Message
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Now:
@@ -70,9 +72,13 @@ class Ping:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StopNow:
-    """Stop, before all other effects; ``record`` is written afterwards. The answer belongs to log entry ``entry``."""
+    """Stop, before all other effects; ``record`` is written afterwards. The answer belongs to log entry ``entry``.
+
+    ``cause`` is the text for the log.
+    """
 
     entry: int
+    cause: Message
     record: dict[str, Any] = field(default_factory=dict)
 
 
@@ -142,4 +148,11 @@ class CallService(Order):
     service: str
 
 
-Effect = Send | Broadcast | End | Heartbeat | Ping | StopNow | Record | Order | HoldPicture
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Repeat:
+    """An order that was sent before, and whose record is on disk; the same events drop it."""
+
+    order: Order
+
+
+Effect = Send | Broadcast | End | Heartbeat | Ping | StopNow | Record | Order | Repeat | HoldPicture

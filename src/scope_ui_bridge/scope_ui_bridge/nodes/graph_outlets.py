@@ -66,7 +66,7 @@ class GraphOutlets:
     def ros_ns(self) -> int:
         return int(self._node.get_clock().now().nanoseconds)
 
-    def stop(self, answered: Callable[[bool, str], None]) -> None:
+    def stop(self, answered: Callable[[bool, str], None], cause: str = "stop") -> None:
         stopped = send_stop(
             self._guard, Message("driver.stop_requested")
         )  # first, because it does not need the middleware
@@ -78,7 +78,7 @@ class GraphOutlets:
             answered(True, "")
         elif self._stop_request.get_subscription_count() == 0:
             answered(False, Message("bridge.no_driver_listens"))
-        self._node.get_logger().warning("stop")
+        self._node.get_logger().warning(cause)
 
     def heartbeat(self) -> None:
         self._heartbeat.publish(header(self.ros_ns(), self._node.get_fully_qualified_name()))

@@ -243,3 +243,9 @@ def test_what_is_no_plane_is_refused_with_its_values(changes: dict[str, object],
 def test_a_plane_cannot_change_in_place() -> None:
     with pytest.raises(dataclasses.FrozenInstanceError):
         PLANE.slope = (0.1, 0.1)  # type: ignore[misc]
+
+
+@pytest.mark.parametrize(("x", "y", "contact_m"), [(0.2, 0.3, 0.03), (0.3, 0.3, 0.04), (0.2, 0.4, 0.01)])
+def test_a_plane_rises_from_its_own_position_along_each_axis(x: float, y: float, contact_m: float) -> None:
+    plane = PanelPlane(at_m=(0.2, 0.3, 0.03), slope=(0.1, -0.2), covariance=9 * (0.0,))
+    assert plane.contact_m(x, y) == pytest.approx(contact_m)

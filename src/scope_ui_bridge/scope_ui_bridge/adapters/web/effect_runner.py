@@ -27,6 +27,7 @@ from scope_ui_bridge.core.effects import (
     Order,
     Ping,
     Record,
+    Repeat,
     Send,
     SendCommand,
     SendGoal,
@@ -90,6 +91,8 @@ class EffectRunner:
                 self._pages.broadcast(effect.message)
             elif isinstance(effect, HoldPicture):
                 self.run(self._desk.picture_held(effect.viewer, self._held.hold()))
+            elif isinstance(effect, Repeat):
+                self._tasks.spawn(self._send(effect.order))
             elif isinstance(effect, Record):
                 self._writer.write_later(effect.record)
             elif isinstance(effect, End):
@@ -98,9 +101,10 @@ class EffectRunner:
                 assert isinstance(effect, Order)
                 self._tasks.spawn(self._send(effect, self._writer.write(effect.record)))
 
-    async def _send(self, order: Order, written: Future[None]) -> None:
+    async def _send(self, order: Order, written: Future[None] | None = None) -> None:
         try:
-            await asyncio.wrap_future(written)
+            if written is not None:
+                await asyncio.wrap_future(written)
             if not self._desk.still_wanted(order, read_clocks(self._graph)):
                 raise GraphError(Message("bridge.stopped_before_went_out"))
             self._to_graph(order)

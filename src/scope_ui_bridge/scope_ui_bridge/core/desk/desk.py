@@ -15,6 +15,7 @@ from scope_ui_bridge.core.config import BridgeConfig
 from scope_ui_bridge.core.desk.actions import Actions
 from scope_ui_bridge.core.desk.answers import Answers
 from scope_ui_bridge.core.desk.chosen import Chosen
+from scope_ui_bridge.core.desk.early_reset import EarlyReset
 from scope_ui_bridge.core.desk.handover import Handover
 from scope_ui_bridge.core.desk.motions import Motions
 from scope_ui_bridge.core.desk.order_book import OrderBook
@@ -60,9 +61,10 @@ class Desk:
         self._supervision = Supervision(state, self._stops, self._handover)
         self._book = OrderBook(state)
         self._motions = Motions(state, self._book)
-        self._actions = Actions(state, self._book, self.chosen)
+        early = EarlyReset(state, self._book)
+        self._actions = Actions(state, self._book, self.chosen, early)
         self._feed = StateFeed(state, self.chosen, title, robot)
-        self.answers = Answers(state, self._motions)
+        self.answers = Answers(state, self._motions, early)
         self.tip_path = TipPath(state, self.chosen)
         self._stop_unexplained = False
         """Whether the controller has stopped, and the code of this state has not been reported yet."""
@@ -161,7 +163,8 @@ class Desk:
         if isinstance(message, wire.Blind):
             if viewer != self.lease.holder or not self.moving:
                 return []
-            return self._stops.unseen("stopped_page_blind", message.silence_ms / 1e3, now)
+            silence_s, limit_s = message.silence_ms / 1e3, self.config.frame_stale_s
+            return self._stops.unseen("stopped_page_blind", silence_s, limit_s, now)
         if isinstance(message, wire.Lease):
             effects = self._handover.step(viewer, message, now)
             return [*effects, self._feed.state_effect(now), _answer(viewer, message.seq)]

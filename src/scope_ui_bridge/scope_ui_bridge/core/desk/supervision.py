@@ -46,7 +46,8 @@ class Supervision:
         if not state.lease.holder:
             return []
         if (silence_s >= config.silence_stop_s and state.moving) or silence_s >= config.lease_timeout_s:
-            return self._handover.lose(state.lease.holder, state.causes.of_silence(now.mono_s), now, silence_s)
+            code = state.causes.of_silence(now.mono_s)
+            return self._handover.lose(state.lease.holder, code, now, silence_s, config.silence_stop_s)
         if blind_s >= config.picture_stop_s:
-            return self._stops.unseen(state.causes.of_blindness(now.mono_s), blind_s, now)
+            return self._stops.unseen(state.causes.of_blindness(now.mono_s), blind_s, config.picture_stop_s, now)
         return []
