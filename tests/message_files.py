@@ -20,8 +20,8 @@ SRC = Path(__file__).resolve().parents[1] / "src"
 PAGE = SRC / "scope_ui_bridge" / "scope_ui_bridge" / "page"
 GRAPH = SRC / "icu_common" / "icu_common" / "messages" / "en.ftl"
 """English sentences of the graph's programs."""
-MAKERS = ("Message", "Text")
-"""Names under which the modules of ``src`` know the class of messages."""
+MAKER = "Message"
+"""Name of the class of messages."""
 
 
 class _Values(Visitor):
@@ -80,7 +80,7 @@ def made() -> Iterator[Made]:
     """Yield the messages with a constant code that the modules of ``src`` make."""
     for path in sorted(SRC.rglob("*.py")):
         for node in ast.walk(ast.parse(path.read_text())):
-            if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id in MAKERS and node.args:
+            if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == MAKER and node.args:
                 code = node.args[0]
                 for choice in (code.body, code.orelse) if isinstance(code, ast.IfExp) else (code,):
                     if isinstance(choice, ast.Constant):

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from harris_perception.core.stylus.stylus import StylusTracker
-from harris_perception.core.stylus.stylus_config import StylusConfig
+from harris_perception.core.stylus.stylus_config import StylusSearchConfig
 from icu_common.core.configuration.config import from_mapping
 from icu_common.core.geometry.camera_model import CameraModel, StereoModel
 from icu_common.core.panel.panel_layout import load_layout
@@ -85,7 +85,7 @@ def measure(names: list[str], each: int) -> Formats:
             for name in names:
                 noise = np.random.default_rng((7, number))
                 given = [_through(name, image, at, noise) for image, at in zip(images, centres)]
-                tracker = StylusTracker(from_mapping(StylusConfig, parameters("stylus_tracker")), stereo)
+                tracker = StylusTracker(from_mapping(StylusSearchConfig, parameters("stylus_tracker")), stereo)
                 formats.add(name, seen, tracker.find(*given))
             number += 1
     return formats
