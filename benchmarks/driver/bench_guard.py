@@ -30,8 +30,8 @@ from icu_common.adapters.direct_stop.line import guard_folder, send_stop, stop_p
 sys.path.append(str(Path(__file__).resolve().parents[1]))
 sys.path.append(str(Path(__file__).resolve().parents[2] / "tests"))
 from nodes.guard_rig import DOWN_M, HOMED, BringUpRig, GuardRig
-from ros_rig import Ros, participant
 from rows import bound, write
+from support.ros_rig import Ros, participant
 
 PAGE = Path(__file__).resolve().parents[2] / "docs/explanation/guard.md"
 BEGIN, END = "<!-- matrix: begin -->\n", "<!-- matrix: end -->"

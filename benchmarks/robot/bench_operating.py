@@ -29,7 +29,7 @@ from icu_simulator.manufacture.layout import print_offset_mm
 sys.path.append(str(Path(__file__).resolve().parents[1]))
 sys.path.append(str(Path(__file__).resolve().parents[2] / "tests"))
 from rows import OUT, Row, bound, row, write
-from virtual_robot import VirtualRobot
+from support.virtual_robot import VirtualRobot
 
 REFERENCE_MM = 5.94
 LOOK_EVERY = 5

@@ -18,12 +18,12 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PointStamped
 from golden.expectation import BAG, bag_check
-from parameter_files import parameters
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import CameraInfo, CompressedImage, JointState
 from std_msgs.msg import Header, String
+from support.parameter_files import parameters
+from support.virtual_robot import VirtualRobot
 from trajectory_msgs.msg import JointTrajectory
-from virtual_robot import VirtualRobot
 
 from gantry_driver.core.job import controller_messages as msg
 from gantry_driver.core.job.controller_config import ControllerConfig

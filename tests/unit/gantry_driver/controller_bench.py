@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from pinhole import pinhole
+from support.pinhole import pinhole
 
 from gantry_driver.core.goals.controller import Controller
 from gantry_driver.core.job import controller_messages as msg

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 import serial
-from deadlines import wait_until
-from line_socket import LineSocket
+from support.deadlines import wait_until
+from support.line_socket import LineSocket
 
 from gantry_driver.mock.machine import MockMachine
 from gantry_driver.mock.service import Service

@@ -22,7 +22,7 @@ import pytest
 import setuptools
 import yaml
 from catkin_pkg.package import parse_package
-from parameter_files import file_values, parameters
+from support.parameter_files import file_values, parameters
 
 from icu_bringup.adapters.graph_ledger import path_of_graph
 from icu_bringup.core.startup.graph_description import GraphDescriptionError, load_graph

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 import pytest
-from virtual_robot import VirtualRobot
+from support.virtual_robot import VirtualRobot
 
 from gantry_driver.core.job.goal_job import GoalPhase
 from icu_common.core.goals.results import GoalResult, Outcome

@@ -7,7 +7,7 @@ import math
 from typing import Any
 
 import numpy as np
-from pinhole import pinhole
+from support.pinhole import pinhole
 
 from icu_common.core.geometry.geometry import Transform
 from icu_common.core.goals.results import GoalResult, Outcome

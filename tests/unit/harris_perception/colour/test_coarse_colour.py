@@ -7,7 +7,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from camera_chain import CHAINS
+from support.camera_chain import CHAINS
 from unit.harris_perception.rendered_stylus import MAGENTA, TIP, Look, draw, render, stereo_model
 
 from harris_perception.colour.blurred_disc import profiles

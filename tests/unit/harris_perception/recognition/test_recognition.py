@@ -11,7 +11,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from pinhole import pinhole
+from support.pinhole import pinhole
 from unit.harris_perception import panel_scene as scene
 
 from harris_perception.core.corners.harris import HarrisConfig, HarrisDetector

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from small_terminal import SmallTerminal
+from unit.icu_bringup.startup.small_terminal import SmallTerminal
 
 from icu_bringup.core.startup.qr_code import qr_modules
 from icu_bringup.core.startup.run_words import (

@@ -7,7 +7,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from parameter_files import parameters
+from support.parameter_files import parameters
 
 from harris_perception.core.corners.harris import HarrisDetector
 from harris_perception.core.recognition.panel_reader import PanelReader

@@ -13,7 +13,7 @@ import time
 from pathlib import Path
 
 import pytest
-from deadlines import wait_until
+from support.deadlines import wait_until
 from unit.scope_ui_bridge import web_rig
 
 from scope_ui_bridge.adapters.graph_port import GraphUnavailable

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from pinhole import pinhole as camera
+from support.pinhole import pinhole as camera
 from unit.scope_ui_bridge.desk_rig import FACES, Rig, pose, scene
 
 from icu_common.core.geometry.geometry import Transform

@@ -16,7 +16,7 @@ from fluent.syntax import FluentParser
 from fluent.syntax import ast as ftl
 from fluent.syntax.visitor import Visitor
 
-SRC = Path(__file__).resolve().parents[1] / "src"
+SRC = Path(__file__).resolve().parents[2] / "src"
 PAGE = SRC / "scope_ui_bridge" / "scope_ui_bridge" / "page"
 GRAPH = SRC / "icu_common" / "icu_common" / "messages" / "en.ftl"
 """English sentences of the graph's programs."""
@@ -30,9 +30,11 @@ class _Values(Visitor):
         self.references: set[str] = set()
 
     def visit_VariableReference(self, node: ftl.VariableReference) -> None:
+        """Collect the name of a value."""
         self.found.add(node.id.name)
 
     def visit_MessageReference(self, node: ftl.MessageReference) -> None:
+        """Collect the key of a sentence that this one refers to."""
         self.references.add(node.id.name)
 
 

@@ -20,7 +20,6 @@ from typing import Any
 
 import cv2
 import numpy as np
-from parameter_files import CONFIG, parameters
 
 from gantry_driver.core.configuration.machine_config import DriverConfig
 from gantry_driver.core.goals.controller import Controller
@@ -65,6 +64,7 @@ from icu_simulator.core.optics import stereo_rig
 from icu_simulator.core.renderer import Renderer
 from icu_simulator.imaging.stream import CameraStream
 from icu_simulator.imaging.timing import Shot, shots
+from support.parameter_files import CONFIG, parameters
 
 START_S = 1000.0
 FRAME_S = 1 / 15
