@@ -31,8 +31,8 @@ sys.path.append(str(Path(__file__).resolve().parents[2] / "tests"))
 from driver.guard_latency import questions, stops
 from nodes.guard_client import Client
 from nodes.guard_rig import DOWN_M, HOMED, BringUpRig, GuardRig
-from ros_rig import Ros, participant
 from rows import Row, bound, write
+from support.ros_rig import Ros, participant
 
 PAGE = Path(__file__).resolve().parents[2] / "docs/explanation/guard.md"
 BEGIN, END = "<!-- matrix: begin -->\n", "<!-- matrix: end -->"

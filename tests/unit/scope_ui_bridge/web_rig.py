@@ -15,7 +15,7 @@ import aiohttp
 import numpy as np
 from unit.scope_ui_bridge.desk_rig import scene
 
-from scope_ui_bridge.adapters.graph_port import GraphError
+from scope_ui_bridge.adapters.graph_port import GraphUnavailable
 from scope_ui_bridge.adapters.secret_files import AuditFile
 from scope_ui_bridge.adapters.web.web_server import WebServer
 from scope_ui_bridge.core.access import SignIn
@@ -71,7 +71,7 @@ class RecordingGraph:
 
     def _take(self, *call: Any) -> None:
         if self.refuses:
-            raise GraphError(self.refuses)
+            raise GraphUnavailable(self.refuses)
         self.on_call()
         self.calls.append(call)
 

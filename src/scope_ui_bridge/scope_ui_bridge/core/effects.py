@@ -37,7 +37,7 @@ class Now:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Send:
+class SendToViewer:
     """A message for one viewer."""
 
     viewer: str
@@ -59,7 +59,7 @@ class End:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Heartbeat:
+class PublishHeartbeat:
     """Publish the operator's heartbeat to the driver."""
 
 
@@ -90,7 +90,7 @@ class Record:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Order:
+class MachineOrder:
     """An order that may move the machine; ``record`` is on disk before it is sent.
 
     It is dropped if, before it is sent, the desk has stopped, control has changed, the desk has given the order up, or
@@ -105,21 +105,21 @@ class Order:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SendCommand(Order):
+class SendCommand(MachineOrder):
     """A gesture for /gantry/command."""
 
     text: str
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SendSequence(Order):
+class SendSequence(MachineOrder):
     """A sequence's text for /gantry/sequence."""
 
     text: str
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SendGoal(Order):
+class SendGoal(MachineOrder):
     """A point for /gantry/goal: pixels of the left image, or metres in base_link; ``stamp_ns`` is its id."""
 
     frame: str
@@ -135,24 +135,35 @@ class HoldPicture:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SendTeaching(Order):
+class SendTeaching(MachineOrder):
     """A request to make a panel layout from the points marked in the held image."""
 
     text: str
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class CallService(Order):
+class CallService(MachineOrder):
     """A service of the graph: home, reset, enable, disable, calibrate."""
 
     service: str
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Repeat:
+class RepeatOrder:
     """An order that was sent before, and whose record is on disk; the same events drop it."""
 
-    order: Order
+    order: MachineOrder
 
 
-Effect = Send | Broadcast | End | Heartbeat | Ping | StopNow | Record | Order | Repeat | HoldPicture
+Effect = (
+    SendToViewer
+    | Broadcast
+    | End
+    | PublishHeartbeat
+    | Ping
+    | StopNow
+    | Record
+    | MachineOrder
+    | RepeatOrder
+    | HoldPicture
+)

@@ -7,7 +7,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from camera_chain import CHAINS
+from support.camera_chain import CHAINS
 from unit.harris_perception.rendered_stylus import MAGENTA, TIP, Look, draw, render, stereo_model
 
 from harris_perception.colour.blurred_disc import STEP, profile_tables
@@ -16,7 +16,7 @@ from harris_perception.colour.disc_kernels import disc_equations, weighted_sums
 from harris_perception.colour.soft_fit import Channel, fit_soft
 from harris_perception.core.stylus.ball_view import mixed_chroma_of
 from harris_perception.core.stylus.stylus import StylusTracker
-from harris_perception.core.stylus.stylus_config import StylusConfig
+from harris_perception.core.stylus.stylus_config import StylusSearchConfig
 
 pytestmark = pytest.mark.long
 
@@ -79,7 +79,7 @@ def test_the_ball_is_measured_in_what_cameras_send(name: str, mean_mm: float, la
     rng = np.random.default_rng(9)
     off = []
     for tip, images in balls(12):
-        found = StylusTracker(StylusConfig(), STEREO).find(*(CHAINS[name](image, rng) for image in images))
+        found = StylusTracker(StylusSearchConfig(), STEREO).find(*(CHAINS[name](image, rng) for image in images))
         assert found.tip is not None, found.reason
         off.append(np.hypot(*(found.tip - tip)[:2]) * 1e3)
     print(f"{name}: mean {np.mean(off):.3f} mm, largest {max(off):.3f} mm")
@@ -89,7 +89,7 @@ def test_the_ball_is_measured_in_what_cameras_send(name: str, mean_mm: float, la
 def test_the_ball_before_something_as_dark_as_its_dark_side() -> None:
     """Luma does not show that side. Before, the depth was off by 0.34 mm rms."""
     rng = np.random.default_rng(9)
-    tracker = StylusTracker(StylusConfig(), STEREO)
+    tracker = StylusTracker(StylusSearchConfig(), STEREO)
     off = []
     for tip, images in balls(16, DARK):
         found = tracker.find(*(CHAINS["bayer_mjpeg422_85"](image, rng) for image in images))
@@ -103,11 +103,11 @@ def test_the_ball_before_something_as_dark_as_its_dark_side() -> None:
 def test_a_camera_that_was_coarse_is_so_where_one_picture_does_not_show_it() -> None:
     """Near a lit lamp an image may look sharp; chroma alone was 3 mm off then."""
     rng = np.random.default_rng(9)
-    tracker = StylusTracker(StylusConfig(), STEREO)
+    tracker = StylusTracker(StylusSearchConfig(), STEREO)
     pairs = balls(5)
     for _, images in pairs[:4]:
         tracker.find(*(CHAINS["mjpeg420_80"](image, rng) for image in images))
-    usual = StylusTracker(StylusConfig(), STEREO).find(*pairs[4][1])
+    usual = StylusTracker(StylusSearchConfig(), STEREO).find(*pairs[4][1])
     remembered = tracker.find(*pairs[4][1])
     assert usual.tip is not None and remembered.tip is not None
     assert remembered.row_limit_px == 2 * usual.row_limit_px
@@ -119,7 +119,7 @@ def test_discs_of_another_size_are_not_mistaken_for_the_ball(name: str, radius_p
     rng = np.random.default_rng(1)
     images = render(STEREO, np.array([0.0, 0.0, 3.0]), np.random.default_rng(3), Look(ball=(60.0, 60.0, 60.0)))
     draw(images, TIP, lambda p, at: cv2.circle(p, at, 16 * radius_px, MAGENTA, -1, cv2.LINE_AA, 4))
-    found = StylusTracker(StylusConfig(), STEREO).find(*(CHAINS[name](image, rng) for image in images))
+    found = StylusTracker(StylusSearchConfig(), STEREO).find(*(CHAINS[name](image, rng) for image in images))
     assert found.tip is None and found.reason
 
 

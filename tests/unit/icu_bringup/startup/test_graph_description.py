@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from icu_bringup.core.startup.graph_description import GraphError, load_graph
+from icu_bringup.core.startup.graph_description import GraphDescriptionError, load_graph
 
 TABLE = """\
 scope: dial
@@ -110,7 +110,7 @@ def test_command_line_of_a_node(config: Path) -> None:
 def test_errors(config: Path, old: str, new: str, message: str) -> None:
     assert old in TABLE
     (config / "graph.yaml").write_text(TABLE.replace(old, new))
-    with pytest.raises(GraphError, match=message):
+    with pytest.raises(GraphDescriptionError, match=message):
         load(config, "bench")
 
 
@@ -137,7 +137,7 @@ def test_a_parameter_file_that_is_wrong_or_would_be_ignored_in_part_is_refused(
     config: Path, text: str, message: str
 ) -> None:
     (config / "params" / "eye.yaml").write_text(text, encoding="latin-1")
-    with pytest.raises(GraphError, match=message):
+    with pytest.raises(GraphDescriptionError, match=message):
         load(config, "bench")
 
 
@@ -149,7 +149,9 @@ def test_every_way_to_name_a_node_in_a_parameter_file_is_known(config: Path, nod
 
 def test_unknown_scope_and_profile(config: Path) -> None:
     for scope in ("gauge", "../graph", "dial/", f"{config}/scopes/dial"):
-        with pytest.raises(GraphError, match=f"scope '{scope}' is none of the models in {config}/scopes: dial"):
+        with pytest.raises(
+            GraphDescriptionError, match=f"scope '{scope}' is none of the models in {config}/scopes: dial"
+        ):
             load_graph(config, "bench", run=Path("/r"), state=Path("/s"), scope=scope)
-    with pytest.raises(GraphError, match="'moon' is none of bench, test, hardware, replay"):
+    with pytest.raises(GraphDescriptionError, match="'moon' is none of bench, test, hardware, replay"):
         load(config, "moon")

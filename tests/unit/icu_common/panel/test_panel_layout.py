@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from icu_common.core.panel.gesture import parse_gesture
-from icu_common.core.panel.panel_layout import LayoutError, Text, load_layout, parse_layout
+from icu_common.core.panel.panel_layout import ArtworkText, LayoutError, load_layout, parse_layout
 
 GOOD = """\
 model: test_panel
@@ -35,7 +35,7 @@ def test_good_layout() -> None:
     layout = parse_layout(GOOD)
     assert layout.size_mm == (100, 50) and [c.name for c in layout.controls] == ["RUN", "KNOB"]
     assert layout.control("RUN").height_mm == 3
-    assert layout.artwork[0] == Text(text="HELLO", at_mm=(50, 45), height_mm=4)
+    assert layout.artwork[0] == ArtworkText(text="HELLO", at_mm=(50, 45), height_mm=4)
     with pytest.raises(KeyError, match="no control 'STOP'; it has RUN, KNOB"):
         layout.control("STOP")
 

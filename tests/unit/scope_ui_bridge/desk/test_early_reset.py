@@ -7,7 +7,7 @@ from unit.scope_ui_bridge.desk_rig import Rig, answer, logged, of_type
 
 from icu_common.core.reasons.message import Message
 from scope_ui_bridge.core.desk.early_reset import RESET_WAIT_S
-from scope_ui_bridge.core.effects import CallService, Effect, Record, Repeat, StopNow
+from scope_ui_bridge.core.effects import CallService, Effect, Record, RepeatOrder, StopNow
 
 NOT_YET = Message("driver.refused", refusal=Message("stop.stop_not_complete_yet"))
 NOTHING = Message("driver.refused", refusal=Message("stop.nothing_reset_driver", state_text="idle"))
@@ -35,15 +35,15 @@ def test_a_reset_during_the_lift_waits_and_is_sent_again_until_the_driver_accept
     assert (entry["status"], entry["reason"].code) == ("accepted", "bridge.reset_waits"), "no refusal is shown"
     assert of_type(effects, Record) == [], "the audit file gets the result only"
     for _ in range(5):
-        (again,) = of_type(rig.wait(0.3, alive=True), Repeat)
+        (again,) = of_type(rig.wait(0.3, alive=True), RepeatOrder)
         assert again.order == rig.reset, "the same order, which the same stop voids"
         assert rig.desk.still_wanted(again.order, rig.now)
         assert rig.answers(False, NOT_YET) == [], "nothing new to show"
-    assert of_type(rig.wait(0.3, alive=True), Repeat)
+    assert of_type(rig.wait(0.3, alive=True), RepeatOrder)
     done = rig.answers(True, "accepted: reset")
     assert [entry["status"] for entry in logged(done)] == ["done"]
     assert [line.record["result"] for line in of_type(done, Record)] == ["done"]
-    assert of_type(rig.wait(1.0, alive=True), Repeat) == []
+    assert of_type(rig.wait(1.0, alive=True), RepeatOrder) == []
 
 
 def test_a_reset_waits_longer_than_other_answers_but_not_for_ever() -> None:
@@ -55,7 +55,7 @@ def test_a_reset_waits_longer_than_other_answers_but_not_for_ever() -> None:
     rig.wait(0.6, alive=True)
     (entry,) = logged(rig.answers(False, NOT_YET))
     assert (entry["status"], entry["reason"]) == ("rejected", NOT_YET)
-    assert of_type(rig.wait(1.0, alive=True), Repeat) == []
+    assert of_type(rig.wait(1.0, alive=True), RepeatOrder) == []
 
 
 @pytest.mark.parametrize("what", ["stop", "release"])
@@ -67,7 +67,7 @@ def test_a_stop_or_a_change_of_control_ends_the_wait(what: str) -> None:
     else:
         rig.ask(rig.a, type="lease", step="release")
     effects = rig.wait(0.3, alive=True)
-    assert of_type(effects, Repeat) == []
+    assert of_type(effects, RepeatOrder) == []
     (entry,) = [entry for entry in logged(effects) if entry["action"] == "reset"]
     assert (entry["status"], entry["reason"].code) == ("failed", "bridge.stopped_before_went_out")
     assert [line.record["result"] for line in of_type(effects, Record) if line.record["command"] == "reset"] == [
@@ -83,7 +83,7 @@ def test_a_machine_in_another_state_than_the_person_has_seen_is_not_reset(state:
     rig.answers(False, NOT_YET)
     rig.desk.set_state("driver", state)
     effects = rig.wait(0.3, alive=True)
-    assert of_type(effects, Repeat) == []
+    assert of_type(effects, RepeatOrder) == []
     (entry,) = logged(effects)
     assert (entry["status"], entry["reason"].code) == ("failed", "bridge.reset_void")
     assert state in entry["reason"]
@@ -104,7 +104,7 @@ def test_another_refusal_of_a_reset_is_shown_at_once(refused: str) -> None:
     rig = Early()
     (entry,) = logged(rig.answers(False, refused))
     assert (entry["status"], entry["reason"]) == ("rejected", refused)
-    assert of_type(rig.wait(1.0, alive=True), Repeat) == []
+    assert of_type(rig.wait(1.0, alive=True), RepeatOrder) == []
 
 
 def test_the_same_refusal_of_another_service_is_shown_at_once() -> None:

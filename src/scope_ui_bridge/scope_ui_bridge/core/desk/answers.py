@@ -7,7 +7,7 @@ from icu_common.core.reasons.codes import STOP_ASKED
 from scope_ui_bridge.core.desk.early_reset import EarlyReset
 from scope_ui_bridge.core.desk.motions import Motions
 from scope_ui_bridge.core.desk.state import DeskState
-from scope_ui_bridge.core.effects import Broadcast, Effect, Now, Order
+from scope_ui_bridge.core.effects import Broadcast, Effect, MachineOrder, Now
 from scope_ui_bridge.core.orders import goal_words, result_words
 from scope_ui_bridge.core.records import LogEntry, result_record, shown
 
@@ -35,7 +35,7 @@ class Answers:
             state.sequence.ended(state.sequence.run_id, "no_answer", "")
         return effects
 
-    def order_failed(self, order: Order, reason: str, now: Now) -> list[Effect]:
+    def order_failed(self, order: MachineOrder, reason: str, now: Now) -> list[Effect]:
         """Record that an order was not sent (no controller, audit file not writable, stopped meanwhile)."""
         entry = self._state.log.open_entry(order.entry)
         if entry is None:

@@ -12,7 +12,7 @@ import math
 from icu_common.core.reasons.message import Message, parts
 from scope_ui_bridge.core.desk.order_book import OrderBook
 from scope_ui_bridge.core.desk.state import DeskState
-from scope_ui_bridge.core.effects import CallService, Effect, Now, Repeat
+from scope_ui_bridge.core.effects import CallService, Effect, Now, RepeatOrder
 from scope_ui_bridge.core.records import LogEntry, result_record, shown
 
 RESET = "reset"
@@ -66,7 +66,7 @@ class EarlyReset:
             return []
         self._again_s = math.inf
         if self._wanted(order, now):
-            return [Repeat(order=order)]
+            return [RepeatOrder(order=order)]
         entry = self._state.log.open_entry(order.entry)
         if entry is None:
             return []
