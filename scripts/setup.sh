@@ -196,7 +196,7 @@ if [ $jazzy = no ]; then
 else
   wait_for more_for_jazzy
 fi
-kernels=$(find src/harris_perception/harris_perception/{core,colour} -name '*.py' | sort | xargs cat | sha256sum)
+kernels=$(find src/harris_perception/harris_perception \( -path '*/core/*' -o -path '*/colour/*' \) -name '*.py' | sort | xargs cat | sha256sum)
 if [ ! -f "$venv/.compiled" ] || [ "$(cat "$venv/.compiled")" != "$kernels" ]; then meanwhile compile; fi
 if [ $jazzy = no ]; then wait_for install requirements.txt "rclpy and Fast DDS (with the others about 400 MB, a minute or so)"; fi
 if [ "$want" = dev ] || [ "$want" = release ]; then meanwhile install requirements-dev.txt "tools for tests and checks, meanwhile" quiet; fi
