@@ -311,7 +311,7 @@ def test_an_expectation_is_the_same_after_writing_and_reading() -> None:
         ("{version: 1, messages: m, extra: 1}", "unknown extra"),
         ("{version: 1, topics: {}}", "messages: a text is expected"),
         ("{version: 1, messages: m, run: {moving: 1}}", "run.moving: bool is expected, got 1"),
-        ("{version: 1, messages: m, run: {nodes: corners}}", "run.nodes: a list of texts is expected"),
+        ("{version: 1, messages: m, run: {nodes: corners}}", "run.nodes; expected a list of texts is expected"),
         ("{version: 1, messages: m, topics: {/a: {type: t, messages: -1}}}", "/a: messages: a number of at least 0"),
         (
             "{version: 1, messages: m, topics: {/a: {type: t, fields: {x: {absolut: 1}}}}}",
