@@ -132,7 +132,7 @@ picture: story ## make the picture of the operator page again
 	@cp artifacts/story/06_moving.png docs/operator_page.png
 
 animation: ## record the README's press from a running demo, ADDRESS='http://127.0.0.1:8080/?token=...'
-	@PYTHONPATH=tests:$$(echo src/*/ | tr ' ' ':') $(VENV)/python -m press_picture '$(ADDRESS)' -o docs/press.webp
+	@PYTHONPATH=tests:$$(echo src/*/ | tr ' ' ':') $(VENV)/python -m system.page.press_picture '$(ADDRESS)' -o docs/press.webp
 
 figures: ## draw the figures of the documents from the configuration and the detector
 	@scripts/setup.sh dev

@@ -23,7 +23,7 @@ from effect_cases import NOMINAL, Case, cases
 from rows import OUT
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))
-from virtual_robot import VirtualRobot
+from support.virtual_robot import VirtualRobot
 
 from icu_common.core.goals.results import Outcome
 

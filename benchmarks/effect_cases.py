@@ -1,6 +1,6 @@
 """Cases for measurements, made from the declarations of the simulated bench's effects.
 
-An effect is a nested configuration of the class :class:`icu_simulator.imaging.effect.Effect`: its values are its
+An effect is a nested configuration of the class :class:`icu_simulator.imaging.effect.BenchEffect`: its values are its
 ordinary size, ``SCALED`` names the fields that are doubled, ``SOURCE`` is the source of the sizes. The kinds of keys
 are effects as well, and so are some settings whose default is no error.
 """
@@ -14,7 +14,7 @@ from typing import Any
 
 from icu_common.core.configuration.config import Config, settings_of, to_mapping
 from icu_simulator.core.configuration import BenchConfig
-from icu_simulator.imaging.effect import Effect
+from icu_simulator.imaging.effect import BenchEffect
 
 NOMINAL, TWICE = "nominal", "twice"
 PARTS = ("stylus.switch",)
@@ -46,13 +46,13 @@ def cases() -> list[Case]:
 def _switched(config: Any, prefix: str) -> Iterator[Case]:
     for field in dataclasses.fields(config):
         value, name = getattr(config, field.name), prefix + field.name
-        if isinstance(value, Effect):
+        if isinstance(value, BenchEffect):
             yield from _sizes(value, name)
         elif isinstance(value, Config):
             yield from _switched(value, name + ".")
 
 
-def _sizes(effect: Effect, name: str) -> Iterator[Case]:
+def _sizes(effect: BenchEffect, name: str) -> Iterator[Case]:
     for size, factor in ((NOMINAL, 1), (TWICE, 2)):
         scaled = effect.scaled(factor)
         if size == NOMINAL or scaled != effect.scaled(1):

@@ -149,15 +149,17 @@ install() { # file of requirements, what it is, and whether another step runs at
   echo "$sum" > "$mark"
 }
 
-# The machine code of detector and stereo is cached beside its source, so that the first picture is not late.
+# The machine code of detector, stereo and the tracker's fit is cached beside its source, so that the first picture is not late.
 compile() {
-  [ $terminal = yes ] || step "[3/4] compile the corner detector and stereo, meanwhile"
+  [ $terminal = yes ] || step "[3/4] compile the corner detector, stereo and the tracker's fit, meanwhile"
   # What is kept is only compiled anew where its own file has changed, not one that it calls functions of.
   find "$root/src" -name '*.nb[ci]' -delete
   local path=$root/src/icu_common:$root/src/harris_perception${PYTHONPATH:+:$PYTHONPATH}
-  PYTHONPATH=$path "$venv/bin/python" -c "from harris_perception.core.stereo import dense_stereo, stereo_matching
+  PYTHONPATH=$path "$venv/bin/python" -c "from harris_perception.colour import soft_fit
+from harris_perception.core.stereo import dense_stereo, stereo_matching
 dense_stereo.warm()
-stereo_matching.warm()" &
+stereo_matching.warm()
+soft_fit.warm()" &
   local stereo=$!
   PYTHONPATH=$path "$venv/bin/python" -c "from harris_perception.core.edges.combined_detector import CombinedDetector
 from harris_perception.core.edges.edges import EdgeDetector
@@ -165,7 +167,7 @@ from harris_perception.core.corners.harris import HarrisConfig
 for config in (HarrisConfig(), HarrisConfig(gradient='gaussian', window='gaussian')):
     CombinedDetector(config).warm()
 EdgeDetector().warm()" && wait $stereo \
-    || fail "the corner detector or stereo could not be compiled; see the lines above"
+    || fail "the corner detector, stereo or the tracker's fit could not be compiled; see the lines above"
   echo "$kernels" > "$venv/.compiled"
 }
 
@@ -194,7 +196,7 @@ if [ $jazzy = no ]; then
 else
   wait_for more_for_jazzy
 fi
-kernels=$(find src/harris_perception/harris_perception/core -name '*.py' | sort | xargs cat | sha256sum)
+kernels=$(find src/harris_perception/harris_perception/{core,colour} -name '*.py' | sort | xargs cat | sha256sum)
 if [ ! -f "$venv/.compiled" ] || [ "$(cat "$venv/.compiled")" != "$kernels" ]; then meanwhile compile; fi
 if [ $jazzy = no ]; then wait_for install requirements.txt "rclpy and Fast DDS (with the others about 400 MB, a minute or so)"; fi
 if [ "$want" = dev ] || [ "$want" = release ]; then meanwhile install requirements-dev.txt "tools for tests and checks, meanwhile" quiet; fi

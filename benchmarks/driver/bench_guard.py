@@ -2,8 +2,8 @@
 
 The driver's node and its guard run in separate processes, under bring-up if both are killed; the board is ``mock_grbl``
 in real time. After each fault the board's log gives the first hold (or reset, while homing), and the
-motors' position shows when the stylus is up. ``--write`` writes the table to docs/explanation/guard.md. The last row is
-the time from a query to the guard to its answer over the socket.
+motors' position shows when the stylus is up. ``--write`` writes the table to docs/explanation/guard.md. The last rows
+are the delays of the guard's sockets: a question and its answer, and a stop until its byte is on the port.
 """
 
 from __future__ import annotations
@@ -20,34 +20,37 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from gantry_driver.adapters.guard.client import GuardLink
-from gantry_driver.core.configuration.machine_config import DriverConfig
-from icu_common.adapters.direct_stop.line import guard_folder, send_stop, stop_path
+from icu_common.adapters.direct_stop.line import send_stop, stop_path
 
 sys.path.append(str(Path(__file__).resolve().parents[1]))
 sys.path.append(str(Path(__file__).resolve().parents[2] / "tests"))
+from driver.guard_latency import questions, stops
+from nodes.guard_client import Client
 from nodes.guard_rig import DOWN_M, HOMED, BringUpRig, GuardRig
-from ros_rig import Ros, participant
-from rows import bound, write
+from rows import Row, bound, write
+from support.ros_rig import Ros, participant
 
 PAGE = Path(__file__).resolve().parents[2] / "docs/explanation/guard.md"
 BEGIN, END = "<!-- matrix: begin -->\n", "<!-- matrix: end -->"
 DOMAIN = 88
 HOLD_S, LIFT_S, KILLED_HOLD_S, KILLED_LIFT_S = 0.1, 1.5, 0.5, 2.0
 """Limits: seconds to hold and to lift after a fault of the node, and after the guard was killed."""
-QUESTIONS = 3000
+RESTART_S, SOCKET_S = 0.5, 0.001
+"""Limits: seconds until a killed guard's successor has opened the port, and the slowest hundredth of the socket."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Seen:
-    """Result of one run: seconds to hold and to lift; None if neither was necessary."""
+    """Result of one run: seconds to hold, to lift and until the port was opened again; None if it was not necessary."""
 
     held_s: float | None
     lifted_s: float | None
     deeper_mm: float
+    opened_s: float | None = None
 
 
 def slow_descent(rig: GuardRig) -> None:
@@ -112,15 +115,16 @@ def direct_stop(rig: GuardRig) -> None:
     assert send_stop(stop_path(DOMAIN, "/stop_request"), "stop requested")
 
 
-BOTH = "both SIGKILL"
+KILLED, BOTH, FLOOD = "guard SIGKILL", "both SIGKILL", "node flood"
 CAUSES: dict[str, Callable[[GuardRig], None]] = {
     "node SIGKILL": signalled(signal.SIGKILL),
     "node SIGSTOP": signalled(signal.SIGSTOP),
     "node SIGSTOP for 1 s": signalled(signal.SIGSTOP, 1.0),
-    "guard SIGKILL": kill_guard,
+    KILLED: kill_guard,
     "guard SIGSTOP": stop_guard,
     BOTH: kill_both,
     "direct STOP": direct_stop,
+    FLOOD: lambda rig: None,
 }
 
 
@@ -138,6 +142,30 @@ def busy(ros: Ros, count: int) -> Iterator[None]:
         for process in running:
             process.kill()
             process.wait()
+
+
+def first_hold_s(log: list[dict[str, Any]], begun_s: float) -> float | None:
+    """Return the seconds until the first hold or reset in the board's log, None if there is none."""
+    holds = [e for e in log if e["kind"] == "realtime" and e["byte"] in (ord("!"), 0x18)]
+    return min((float(e["t"]) - begun_s for e in holds), default=None)
+
+
+def flooded(ros: Ros, load: int) -> Seen:
+    """Return the result of a flood of frames in contact, from a client that has the node's place."""
+    with tempfile.TemporaryDirectory() as folder:
+        client = Client(Path(folder))
+        try:
+            client.press()
+            with busy(ros, load):
+                since, z = int(client.board.log()[-1]["n"]), float(client.board.mpos()[2])
+                begun_s = float(client.board.ask("state")["t"])
+                client.flood()
+                client.until(client.lifted)
+                lifted_s = float(client.board.ask("state")["t"]) - begun_s
+            held_s = first_hold_s(client.board.log(since), begun_s)
+            return Seen(held_s=held_s, lifted_s=lifted_s, deeper_mm=max(0.0, z - float(client.board.mpos()[2])))
+        finally:
+            client.close()
 
 
 def once(ros: Ros, cause: str, phase: str, load: int) -> Seen:
@@ -158,12 +186,14 @@ def once(ros: Ros, cause: str, phase: str, load: int) -> Seen:
             while time.monotonic() < end:
                 ros.executor.spin_once(timeout_sec=0.01)
                 deepest = min(deepest, rig.z_mm())
-            holds = [
-                float(e["t"]) - begun_s
-                for e in rig.board.log(since)
-                if e["kind"] == "realtime" and e["byte"] in (ord("!"), 0x18)
-            ]
-            return Seen(held_s=min(holds, default=None), lifted_s=lifted_s, deeper_mm=z - deepest)
+            log = rig.board.log(since)
+            opened = [float(e["t"]) - begun_s for e in log if e["kind"] == "opened"]
+            return Seen(
+                held_s=first_hold_s(log, begun_s),
+                lifted_s=lifted_s,
+                deeper_mm=z - deepest,
+                opened_s=min(opened, default=None),
+            )
         finally:
             rig.close()
             for node in (rig.op.node,):
@@ -172,35 +202,34 @@ def once(ros: Ros, cause: str, phase: str, load: int) -> Seen:
                 ros.nodes.remove(node)
 
 
-def questions() -> np.ndarray:
-    """Return the seconds from a query to its answer over the guard's socket, (n,)."""
-    link = GuardLink(
-        DriverConfig(port=f"/dev/none{os.getpid()}"), lambda events: None, stop_path=guard_folder() / "bench"
-    )
-    link.start()
-    try:
-        end = time.monotonic() + 10.0
-        while link.ask("home").endswith("not opened yet"):
-            if time.monotonic() > end:
-                raise RuntimeError("the guard has not started")
-            time.sleep(0.01)
-        times = []
-        for _ in range(QUESTIONS):
-            begin = time.perf_counter()
-            link.ask("home")
-            times.append(time.perf_counter() - begin)
-            time.sleep(0.001)
-        return np.array(times)
-    finally:
-        link.close("the benchmark has ended")
-
-
 def cell(seen: list[Seen]) -> str:
+    if not seen:
+        return "-"
     holds = [s.held_s for s in seen if s.held_s is not None]
     lifts = [s.lifted_s for s in seen if s.lifted_s is not None]
     if not holds:
         return "goes on" if lifts == [] else "-"
     return f"{max(holds):.2f} / {max(lifts):.2f}" if lifts else f"{max(holds):.2f} / -"
+
+
+def rows_of(seen: dict[tuple[str, str], list[Seen]]) -> list[Row]:
+    """Return the slowest hold, lift and restart of each fault, with their limits.
+
+    A guard that hangs has none: its node waits for seconds before it restarts it.
+    """
+    rows = []
+    for cause in dict.fromkeys(cause for cause, _ in seen if cause != "guard SIGSTOP"):
+        killed = cause in (KILLED, BOTH)
+        idle = ("rest", "homing") if killed else ()
+        runs = [s for (c, p), found in seen.items() if c == cause and p not in idle for s in found]
+        hold_s, lift_s = (KILLED_HOLD_S, KILLED_LIFT_S) if killed else (HOLD_S, LIFT_S)
+        times = [("hold", hold_s, [s.held_s for s in runs]), ("lift", lift_s, [s.lifted_s for s in runs])]
+        if cause == KILLED:
+            times.append(("restart and open the port", RESTART_S, [s.opened_s for s in runs]))
+        for verb, limit_s, found_s in times:
+            if known := [t for t in found_s if t is not None]:
+                rows.append(bound(f"guard: seconds to {verb} after {cause}", max(known), limit_s))
+    return rows
 
 
 def main() -> int:
@@ -212,51 +241,36 @@ def main() -> int:
     parser.add_argument("--busy", type=int, default=0, help="busy processes beside each fault")
     parser.add_argument("--write", action="store_true", help="put the table into docs/explanation/guard.md")
     options = parser.parse_args()
-    pairs = [(c, p) for c in options.causes for p in options.phases for _ in range(options.repeats)]
+    possible = [(c, p) for c in options.causes for p in options.phases if c != FLOOD or p == "contact"]
+    pairs = [pair for pair in possible for _ in range(options.repeats)]
     random.Random(options.seed).shuffle(pairs)
     seen: dict[tuple[str, str], list[Seen]] = {}
     with participant(DOMAIN) as ros:
         for cause, phase in pairs:
-            seen.setdefault((cause, phase), []).append(once(ros, cause, phase, options.busy))
+            result = flooded(ros, options.busy) if cause == FLOOD else once(ros, cause, phase, options.busy)
+            seen.setdefault((cause, phase), []).append(result)
             print(f"{cause}, {phase}: {seen[cause, phase][-1]}", flush=True)
     head = [f"| fault | {' | '.join(options.phases)} |", "|---" * (len(options.phases) + 1) + "|"]
-    lines = [f"| {c} | {' | '.join(cell(seen[c, p]) for p in options.phases)} |" for c in options.causes]
-    asked = questions()
-    low, high = np.quantile(asked, (0.5, 0.99))
+    lines = [f"| {c} | {' | '.join(cell(seen.get((c, p), [])) for p in options.phases)} |" for c in options.causes]
+    low, high = np.quantile(questions(), (0.5, 0.99))
+    stop_low, stop_high = np.quantile(stops(), (0.5, 0.99))
     load = os.getloadavg()[0]
     text = "\n".join([*head, *lines]) + (
         f"\n\nRuns of each pair: {options.repeats}; {os.cpu_count()} cores, load {load:.1f}. A question to the guard "
-        f"and its answer over the socket: median {1000 * low:.2f} ms, slowest hundredth {1000 * high:.2f} ms.\n"
+        f"and its answer over the socket: median {1000 * low:.2f} ms, slowest hundredth {1000 * high:.2f} ms. A stop's "
+        f"datagram until its byte is on the port: median {1000 * stop_low:.2f} ms, slowest hundredth "
+        f"{1000 * stop_high:.2f} ms.\n"
     )
     print(text)
     if options.write:
         before, _, rest_of = PAGE.read_text(encoding="utf-8").partition(BEGIN)
         PAGE.write_text(f"{before}{BEGIN}{text}{END}{rest_of.partition(END)[2]}", encoding="utf-8")
-    of_node = [s for (c, p), found in seen.items() if c.startswith(("node", "direct")) for s in found]
-    moving = [(c, p) for c, p in seen if c in ("guard SIGKILL", BOTH) and p not in ("rest", "homing")]
-    of_guard = [s for pair in moving for s in seen[pair]]
-    rows = [
-        bound(
-            "guard: seconds to hold after a fault of the node",
-            max((s.held_s or 0.0 for s in of_node), default=0.0),
-            HOLD_S,
-        ),
-        bound(
-            "guard: seconds to lift after a fault of the node",
-            max((s.lifted_s or 0.0 for s in of_node), default=0.0),
-            LIFT_S,
-        ),
-        bound(
-            "guard: seconds to hold after a kill of the guard",
-            max((s.held_s or 0.0 for s in of_guard), default=0.0),
-            KILLED_HOLD_S,
-        ),
-        bound(
-            "guard: seconds to lift after a kill of the guard",
-            max((s.lifted_s or 0.0 for s in of_guard), default=0.0),
-            KILLED_LIFT_S,
-        ),
-        bound("guard: question and answer, slowest hundredth [s]", float(high), 0.001),
+    rows = rows_of(seen)
+    rows += [
+        bound("guard: question and answer, median [s]", float(low), SOCKET_S),
+        bound("guard: question and answer, slowest hundredth [s]", float(high), SOCKET_S),
+        bound("guard: stop to its byte on the port, median [s]", float(stop_low), SOCKET_S),
+        bound("guard: stop to its byte on the port, slowest hundredth [s]", float(stop_high), SOCKET_S),
     ]
     return 0 if write("guard", rows) else 1
 

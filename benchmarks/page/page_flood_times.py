@@ -1,7 +1,8 @@
 """Measure a STOP while the page's server is flooded: the time to the answer, and to the driver's byte at the board.
 
 The operator is a client without a browser that has control and sends keep-alives. It stops by a request and by the
-WebSocket, as the page does. Each flood (tests/page_floods.py) is a process of its own, of an observer or of a stranger.
+WebSocket, as the page does. Each flood (tests/support/page_floods.py) is a process of its own, of an observer or of a
+stranger.
 """
 
 from __future__ import annotations
@@ -17,8 +18,8 @@ from pathlib import Path
 
 import aiohttp
 import numpy as np
-import page_floods
 from rows import Row, bound
+from support import page_floods
 from system.machine_rig import MachineRig
 
 from scope_ui_bridge.adapters.secret_files import write_secret

@@ -1,7 +1,8 @@
 """Measure the ball in images of each camera pixel format: lateral error, and share of images with a measurement.
 
 The five panels are rendered with the ball at seeded positions, 2.5 to 20 mm above the face and at the raised stylus's
-height. Each format's chain (tests/camera_chain.py) is applied to the region around the ball, aligned to JPEG's blocks.
+height. Each format's chain (tests/support/camera_chain.py) is applied to the region around the ball, aligned to JPEG's
+blocks.
 
     .venv/bin/python benchmarks/perception/bench_ball_formats.py --each 60
 """
@@ -18,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from harris_perception.core.stylus.stylus import StylusTracker
-from harris_perception.core.stylus.stylus_config import StylusConfig
+from harris_perception.core.stylus.stylus_config import StylusSearchConfig
 from icu_common.core.configuration.config import from_mapping
 from icu_common.core.geometry.camera_model import CameraModel, StereoModel
 from icu_common.core.panel.panel_layout import load_layout
@@ -28,8 +29,8 @@ from icu_simulator.core.renderer import Moment, Renderer, base_from_panel
 
 sys.path.append(str(Path(__file__).resolve().parents[1]))
 sys.path.append(str(Path(__file__).resolve().parents[2] / "tests"))
-from camera_chain import CHAINS
-from parameter_files import CONFIG, parameters
+from support.camera_chain import CHAINS
+from support.parameter_files import CONFIG, parameters
 
 SIDE_PX, BLOCK_PX, GREY = 192, 16, 90
 SEED = 1000
@@ -85,7 +86,7 @@ def measure(names: list[str], each: int) -> Formats:
             for name in names:
                 noise = np.random.default_rng((7, number))
                 given = [_through(name, image, at, noise) for image, at in zip(images, centres)]
-                tracker = StylusTracker(from_mapping(StylusConfig, parameters("stylus_tracker")), stereo)
+                tracker = StylusTracker(from_mapping(StylusSearchConfig, parameters("stylus_tracker")), stereo)
                 formats.add(name, seen, tracker.find(*given))
             number += 1
     return formats

@@ -24,7 +24,7 @@ from harris_perception.core.hand_eye_procedure.calibration_plan import RunConfig
 from harris_perception.core.hand_eye_procedure.still_watch import StillConfig
 from icu_common.adapters.memory import keep_large_blocks
 from icu_common.core.geometry.geometry import Array
-from icu_simulator.core.configuration import BenchConfig, CameraConfig
+from icu_simulator.core.configuration import BenchCameraConfig, BenchConfig
 from icu_simulator.core.renderer import base_from_panel
 
 sys.path.append(str(Path(__file__).resolve().parents[1]))
@@ -39,7 +39,7 @@ A mean of fewer machines scatters beyond the bounds and is only reported."""
 _BALL_M = 0.002
 STILL = StillConfig(panels=1)
 """Configuration of the node with cameras on the carriage; with fixed cameras it needs no panel."""
-ON_CARRIAGE = CameraConfig(mounting="carriage", aim_m=(0.0, 0.012, -0.022))
+ON_CARRIAGE = BenchCameraConfig(mounting="carriage", aim_m=(0.0, 0.012, -0.022))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -134,7 +134,7 @@ def predicted_tips(calibration: HandEye, places: Array) -> Array:
 def campaign(mounting: str, seeds: range) -> list[Outcome]:
     """Calibrate one machine after another; print each as soon as it is done."""
     keep_large_blocks()
-    config = BenchConfig(camera=ON_CARRIAGE if mounting == "carriage" else CameraConfig())
+    config = BenchConfig(camera=ON_CARRIAGE if mounting == "carriage" else BenchCameraConfig())
     studio = Studio(config)
     outcomes: list[Outcome] = []
     for seed in seeds:

@@ -20,13 +20,13 @@ from gantry_driver.core.motion.motion_plan import MotionConfig
 from harris_perception.core.corners.harris import HarrisConfig, HarrisDetector
 from harris_perception.core.hand_eye.hand_eye_config import HandEyeConfig
 from harris_perception.core.hand_eye_procedure.calibration_plan import RunConfig
-from harris_perception.core.hand_eye_procedure.calibration_run import Action, CalibrationRun, SendGoal
-from harris_perception.core.hand_eye_procedure.calibration_solution import Failed, Finished
+from harris_perception.core.hand_eye_procedure.calibration_run import Action, CalibrationRun, SendCalibrationGoal
+from harris_perception.core.hand_eye_procedure.calibration_solution import CalibrationFailed, CalibrationFinished
 from harris_perception.core.hand_eye_procedure.still_watch import StillConfig
 from harris_perception.core.recognition.recognition import PanelRecogniser
 from harris_perception.core.recognition.sighting import Sighting
 from harris_perception.core.stylus.stylus import StylusTracker
-from harris_perception.core.stylus.stylus_config import StylusConfig
+from harris_perception.core.stylus.stylus_config import StylusSearchConfig
 from icu_common.core.geometry.camera_model import CameraModel, StereoModel
 from icu_common.core.geometry.geometry import Array, Transform
 from icu_common.core.goals.results import GoalResult, Outcome
@@ -163,10 +163,10 @@ class Robot:
         self.machine = Machine(studio.config, seed)
         self.rng = np.random.default_rng((seed, 1))
         self.now_ns = 10**12
-        self._tracker = StylusTracker(StylusConfig(), studio.stereo)
+        self._tracker = StylusTracker(StylusSearchConfig(), studio.stereo)
         self._noise = self.rng.normal(0.0, studio.config.light.noise, (400, 400, 3)).astype(np.float32)
 
-    def calibrate(self, plan: RunConfig, still: StillConfig, solver: HandEyeConfig) -> Finished:
+    def calibrate(self, plan: RunConfig, still: StillConfig, solver: HandEyeConfig) -> CalibrationFinished:
         """Carry out a complete calibration run.
 
         Raises
@@ -178,15 +178,15 @@ class Robot:
         waiting: list[Action] = run.start(self.now_ns)
         while waiting:
             action = waiting.pop(0)
-            if isinstance(action, Failed):
+            if isinstance(action, CalibrationFailed):
                 raise RuntimeError(f"seed {self.seed}: {action.reason}")
-            if isinstance(action, Finished):
+            if isinstance(action, CalibrationFinished):
                 return action
-            if isinstance(action, SendGoal):
+            if isinstance(action, SendCalibrationGoal):
                 waiting += self._obey(run, action, still)
         raise RuntimeError(f"seed {self.seed}: the run stopped in its middle")
 
-    def _obey(self, run: CalibrationRun, goal: SendGoal, still: StillConfig) -> list[Action]:
+    def _obey(self, run: CalibrationRun, goal: SendCalibrationGoal, still: StillConfig) -> list[Action]:
         x, y, z = goal.xyz
         run.result(self._answer(goal, Outcome.ACCEPTED), self.now_ns)
         self.machine.go(np.array([x, y]), -z)
@@ -212,7 +212,7 @@ class Robot:
             actions = actions or run.tick(self.now_ns)
         return actions
 
-    def _answer(self, goal: SendGoal, outcome: Outcome) -> GoalResult:
+    def _answer(self, goal: SendCalibrationGoal, outcome: Outcome) -> GoalResult:
         return GoalResult(goal_id=str(goal.stamp_ns), goal="", outcome=outcome)
 
     def pictures(self) -> list[Picture]:

@@ -24,10 +24,10 @@ from icu_common.core.panel.panel_layout import PanelLayout, load_layout
 
 sys.path.append(str(Path(__file__).resolve().parents[1]))
 sys.path.append(str(Path(__file__).resolve().parents[2] / "tests"))
-from parameter_files import CONFIG
 from robot.bench_operating import LOOK_EVERY, free_point
 from rows import Row, row, write
-from virtual_robot import VirtualRobot
+from support.parameter_files import CONFIG
+from support.virtual_robot import VirtualRobot
 
 ELLIPSE = 5.991
 """Squared Mahalanobis distance that contains 95 % of a normal distribution in the plane."""

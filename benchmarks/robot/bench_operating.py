@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from gantry_driver.core.job.goal_job import LOOKING, Phase
+from gantry_driver.core.job.goal_job import LOOKING, GoalPhase
 from icu_common.core.goals.results import Outcome
 from icu_common.core.panel.panel_layout import Control, PanelLayout
 from icu_simulator.manufacture.layout import print_offset_mm
@@ -29,15 +29,15 @@ from icu_simulator.manufacture.layout import print_offset_mm
 sys.path.append(str(Path(__file__).resolve().parents[1]))
 sys.path.append(str(Path(__file__).resolve().parents[2] / "tests"))
 from rows import OUT, Row, bound, row, write
-from virtual_robot import VirtualRobot
+from support.virtual_robot import VirtualRobot
 
 REFERENCE_MM = 5.94
 LOOK_EVERY = 5
 """Number of touches between two recognitions of the whole panel, which does not move here."""
 SPLIT = {
-    "move": (Phase.APPROACH, Phase.CORRECT, Phase.LIFT),
-    "look": (Phase.LOOK, Phase.MEASURE),
-    "touch": (Phase.TOUCH, Phase.CONTACT),
+    "move": (GoalPhase.APPROACH, GoalPhase.CORRECT, GoalPhase.LIFT),
+    "look": (GoalPhase.LOOK, GoalPhase.MEASURE),
+    "touch": (GoalPhase.TOUCH, GoalPhase.CONTACT),
 }
 LIMITS_MM = {"ideal": (0.15, 0.3), "workshop": (0.15, 0.3), "ward": (0.25, 0.5)}
 """Limits of the mean and of the 95 % quantile of the touch error in each room."""
@@ -45,7 +45,7 @@ PRESSED = {"ideal": 98.0, "workshop": 98.0, "ward": 95.0}
 """Minimum share of keys that act at the first try, percent."""
 KNOBS = {"knobs": "dso_bench_4", "dimple": "ventilator_v1"}
 """Layouts with knobs to set: by friction on their face, and by the ball in a dimple."""
-assert {Phase.LOOK, Phase.CONTACT, Phase.MEASURE} <= set(LOOKING)
+assert {GoalPhase.LOOK, GoalPhase.CONTACT, GoalPhase.MEASURE} <= set(LOOKING)
 
 
 def free_point(layout: PanelLayout, rng: np.random.Generator) -> tuple[float, float]:

@@ -12,7 +12,7 @@ from campaign.run import main
 from campaign.virtual_link import VirtualRig
 
 from gantry_driver.core.configuration.machine_config import DriverConfig, MachineConfig
-from gantry_driver.core.grbl.grbl_messages import Report
+from gantry_driver.core.grbl.grbl_messages import StatusReport
 from gantry_driver.core.machine.machine import Machine
 from icu_common.core.goals.results import Outcome
 
@@ -110,7 +110,7 @@ def test_one_seed_is_one_run() -> None:
 def test_the_judge_sees_a_false_done(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     """A driver that says done at the first report; the run is named with its seed and how to repeat it."""
 
-    def done(machine: Machine, report: Report, now: float) -> None:
+    def done(machine: Machine, report: StatusReport, now: float) -> None:
         machine._finish(Outcome.REACHED, "", now, 0.0)
 
     with monkeypatch.context() as patch:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-from gantry_driver.mock.firmware.board import Board
-from gantry_driver.mock.machine import Machine
+from gantry_driver.mock.firmware.board import FirmwareBoard
+from gantry_driver.mock.machine import MockMachine
 
 HOME_MM, SIGN = (-359.0, -219.0, -1.0), (1.0, 1.0, -1.0)
 """Machine coordinates of the readings (0, 0, 0), and the directions in which the readings grow."""
@@ -25,7 +25,7 @@ class Vertex(NamedTuple):
     speed: float
 
 
-class TracedBoard(Board):
+class TracedBoard(FirmwareBoard):
     """A board that keeps a vertex wherever direction or acceleration change, and whenever it is asked."""
 
     def __init__(self, *arguments: Any) -> None:
@@ -73,7 +73,7 @@ class TracedBoard(Board):
         return due
 
 
-class TracedMachine(Machine):
+class TracedMachine(MockMachine):
     """The mock machine with such a board."""
 
     board: TracedBoard

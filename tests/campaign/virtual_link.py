@@ -18,7 +18,7 @@ from gantry_driver.core.grbl.trajectory_gcode import Waypoint
 from gantry_driver.core.machine.machine import Machine
 from gantry_driver.core.states.machine_states import Answered, CloseRequested, Note, StateChanged
 from gantry_driver.mock.firmware.options import BoardOptions
-from gantry_driver.mock.machine import Machine as MockMachine
+from gantry_driver.mock.machine import MockMachine
 from gantry_driver.mock.settings import make_eeprom
 from icu_common.core.geometry.frames import JOINTS
 from icu_common.core.goals.results import GoalResult

@@ -18,12 +18,12 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PointStamped
 from golden.expectation import BAG, bag_check
-from parameter_files import parameters
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import CameraInfo, CompressedImage, JointState
 from std_msgs.msg import Header, String
+from support.parameter_files import parameters
+from support.virtual_robot import VirtualRobot
 from trajectory_msgs.msg import JointTrajectory
-from virtual_robot import VirtualRobot
 
 from gantry_driver.core.job import controller_messages as msg
 from gantry_driver.core.job.controller_config import ControllerConfig
@@ -33,8 +33,8 @@ from harris_perception.core.hand_eye.hand_eye_config import HandEyeConfig
 from harris_perception.core.hand_eye.tip_samples import Sample
 from harris_perception.core.hand_eye_procedure.still_watch import StillConfig, StillWatch
 from harris_perception.core.stylus.stylus import StylusTracker
-from harris_perception.core.stylus.stylus_config import StylusConfig
-from harris_perception.pairing.free_pairs import Pair
+from harris_perception.core.stylus.stylus_config import StylusSearchConfig
+from harris_perception.pairing.free_pairs import ImagePair
 from icu_bringup.adapters.bag.bag_reader import BagReader
 from icu_bringup.adapters.bag.bag_writer import BagWriter
 from icu_bringup.adapters.bag.bags import BagTopic
@@ -98,7 +98,7 @@ class RecordedRobot(VirtualRobot):
         self.sampling = False
         self._still = StillWatch(from_mapping(StillConfig, {**parameters("hand_eye", "still"), "tips": TIPS}))
         super().__init__(SEED, bench={"light.noise": 0.0})
-        tracker = from_mapping(StylusConfig, {**parameters("stylus_tracker"), **TRACKER})
+        tracker = from_mapping(StylusSearchConfig, {**parameters("stylus_tracker"), **TRACKER})
         self.tracker = StylusTracker(tracker, self.stereo)
         self.controller.config = from_mapping(ControllerConfig, {**parameters("gantry_controller"), **CONTROLLER})
         handle = self.controller.handle
@@ -122,7 +122,7 @@ class RecordedRobot(VirtualRobot):
             self._writer.add_topic(BagTopic(name=name, type=f"{module}/msg/{kind_name}", qos=(recorded_qos(profile),)))
         self._write("/gantry/machine_settings", String(data=self.driver.settings_text()))
         self._write("/gantry/driver_state", String(data=self.driver.state_text))
-        self._tell(msg.Heartbeat())
+        self._tell(msg.OperatorHeartbeat())
 
     def _write(self, topic: str, message: Any) -> None:
         if self._writer is not None:
@@ -181,7 +181,7 @@ class RecordedRobot(VirtualRobot):
                 self._write("/gantry/goal", point_message(event.xyz, header(event.stamp_ns, event.frame)))
             case msg.Command():
                 self._write("/gantry/command", String(data=event.text))
-            case msg.Heartbeat():
+            case msg.OperatorHeartbeat():
                 self._write("/operator/heartbeat", header(self.now_ns, "operator"))
             case msg.CameraSeen() if self.now - self._info_s > INFO_S:
                 self._info_s = self.now
@@ -214,14 +214,14 @@ class RecordedRobot(VirtualRobot):
         else:
             self._tell(msg.TipUnseen(stamp_ns=self._stamp))
 
-    def _see(self, pair: Pair) -> None:
+    def _see(self, pair: ImagePair) -> None:
         self._newest.append(pair)
         if self.sampling or self.controller.phase in LOOKING:
             self._both = True
             self._track(pair)
             self._both = False
 
-    def _track(self, pair: Pair) -> None:
+    def _track(self, pair: ImagePair) -> None:
         """Draw the pair for the tracker, or its left image alone for recognition, which has no tip then."""
         self._stamp = self._tracked_ns = pair.left_ns
         images = self._pictures((pair.left, pair.right)[: 2 if self._both else 1])

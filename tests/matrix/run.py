@@ -20,7 +20,7 @@ from matrix.causes import WATCH_S, NoInput, prepared
 from matrix.cells import TOUCHING, Cell, Record, all_cells, append_record, drawn, read_records, table
 from matrix.stage import Stage
 from matrix.witness import SETTLE_S, UP_MM, judge
-from ros_rig import Ros, participant
+from support.ros_rig import Ros, participant
 
 DOMAIN = 96
 FAILED = pytest.fail.Exception

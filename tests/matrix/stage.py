@@ -11,13 +11,13 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
-from line_socket import BoardSocket, LineSocket
 from matrix.cells import BOARD, GUARD, PROGRAMS
 from matrix.page import PageReader
 from matrix.witness import Witness
 from nodes.guard_rig import guards_of
-from ros_rig import Ros
 from std_msgs.msg import String
+from support.line_socket import BoardSocket, LineSocket
+from support.ros_rig import Ros
 from system.conftest import RunningGraph
 from system.terminal_operator import Operator
 

@@ -6,9 +6,10 @@ import os
 import signal
 import time
 
+import pytest
 from mutants.child import answer_of
 from mutants.operators import mutants
-from mutants.run import REASONS, changes, reasons
+from mutants.run import DETECTED, REASONS, SLOW_S, SURVIVED, changes, confirmed, reasons
 
 SOURCE = '''"""A module."""
 from __future__ import annotations
@@ -84,3 +85,18 @@ def test_a_child_that_ends_or_hangs_answers_nothing() -> None:
     begun = time.monotonic()
     assert [answer_of(work, 0.2) for work in (ends, fails, hangs)] == ["", "", ""]
     assert time.monotonic() - begun < 30.0
+
+
+@pytest.mark.parametrize(
+    ("answers", "took_s", "result"),
+    [
+        ([DETECTED], SLOW_S, DETECTED),
+        ([DETECTED, SURVIVED], SLOW_S + 1.0, SURVIVED),
+        (["", DETECTED], SLOW_S + 1.0, DETECTED),
+        ([SURVIVED], SLOW_S + 1.0, SURVIVED),
+    ],
+)
+def test_a_detection_that_took_long_is_made_again(answers: list[str], took_s: float, result: str) -> None:
+    times, given = iter([0.0, took_s]), iter(answers)
+    assert confirmed(lambda: next(given), lambda: next(times)) == result
+    assert list(given) == [], "no more often than that"

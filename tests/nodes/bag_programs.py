@@ -8,7 +8,7 @@ import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from ros_rig import Ros
+from support.ros_rig import Ros
 
 
 class Command:

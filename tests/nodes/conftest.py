@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from nodes.bag_programs import Command, Start
 from rclpy.duration import Duration
-from ros_rig import Ros, domain_of_worker, participant
+from support.ros_rig import Ros, domain_of_worker, participant
 
 from icu_common.nodes import qos
 

@@ -7,10 +7,10 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 from nodes.grbl_board import GrblBoard
-from ros_rig import keeping_all
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Empty, Header, String
 from std_srvs.srv import SetBool, Trigger
+from support.ros_rig import keeping_all
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from icu_common.core.geometry.frames import JOINTS

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PointStamped, PoseStamped, TransformStamped
-from pinhole import pinhole
 from sensor_msgs.msg import CameraInfo, JointState
 from std_msgs.msg import Empty, Float32, Float64MultiArray, Header, String
+from support.pinhole import pinhole
 from trajectory_msgs.msg import JointTrajectory
 from visualization_msgs.msg import MarkerArray
 

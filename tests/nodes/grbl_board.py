@@ -12,7 +12,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from line_socket import BoardSocket
+from support.line_socket import BoardSocket
 
 from gantry_driver.adapters.serial_link import SerialLink
 from gantry_driver.core.configuration.envelope_config import EnvelopeConfig

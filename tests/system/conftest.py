@@ -16,8 +16,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from line_socket import BoardSocket, LineSocket
-from ros_rig import domain_of_worker
+from support.line_socket import BoardSocket, LineSocket
+from support.ros_rig import domain_of_worker
 from system.operator_browser import browser  # noqa: F401
 from system.terminal_operator import operator  # noqa: F401
 

@@ -12,7 +12,7 @@ import threading
 import tty
 from pathlib import Path
 
-from deadlines import wait_until
+from support.deadlines import wait_until
 
 from gantry_driver.mock.pty_port import OPEN_POLL_S, PtyPort
 from gantry_driver.mock.serial_line import Damage

@@ -11,7 +11,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from ros_rig import domain_of_worker
+from support.ros_rig import domain_of_worker
 from system.conftest import executable, wait_for
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -11,9 +11,9 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PointStamped
 from rclpy.parameter import Parameter
-from ros_rig import Ros, keeping_all, participant
 from std_msgs.msg import Header, String
 from std_srvs.srv import Trigger
+from support.ros_rig import Ros, keeping_all, participant
 
 from icu_common.core.goals.results import GoalResult, Outcome
 from icu_common.nodes import qos

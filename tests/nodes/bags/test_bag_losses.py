@@ -12,16 +12,16 @@ import cv2
 import numpy as np
 import pytest
 from builtin_interfaces.msg import Time
-from foreign_bags import FORMS, STRING, TYPES, bag, text
 from mcap.reader import make_reader
 from nodes.bag_programs import Start
 from rclpy.duration import Duration
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import serialize_message
-from ros_rig import Ros
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Image
 from std_msgs.msg import Header, String
+from support.foreign_bags import FORMS, STRING, TYPES, bag, text
+from support.ros_rig import Ros
 from visualization_msgs.msg import Marker
 
 from icu_bringup.adapters.bag.bag_reader import BagReader

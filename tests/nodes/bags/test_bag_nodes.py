@@ -26,12 +26,12 @@ from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rclpy.serialization import serialize_message
-from ros_rig import Ros
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import CompressedImage, Image, PointCloud2
 from std_msgs.msg import Header, String
 from std_srvs.srv import Trigger
+from support.ros_rig import Ros
 
 from icu_bringup.adapters.bag.bag_pictures import PictureCodec
 from icu_bringup.adapters.bag.bag_reader import BagReader

@@ -8,9 +8,9 @@ from typing import Any
 
 import pytest
 from nodes.bag_programs import Start
-from public_bags import BAGS, NOT_INSTALLED, VARIABLE, PublicBag, convert, found
+from nodes.bags.public_bags import BAGS, NOT_INSTALLED, VARIABLE, PublicBag, convert, found
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-from ros_rig import Ros
+from support.ros_rig import Ros
 
 from icu_bringup.adapters.bag.bag_reader import BagReader
 from icu_bringup.core.bag.account import INCOMPLETE
@@ -26,7 +26,10 @@ ANY = QoSProfile(depth=30_000, reliability=ReliabilityPolicy.RELIABLE, durabilit
 def public(one: PublicBag, folder: Path) -> Path:
     path = found(one)
     if path is None:
-        pytest.skip(f"{one.path} is not in the folder of {VARIABLE}: python tests/public_bags.py FOLDER --fetch")
+        pytest.skip(
+            f"{one.path} is not in the folder of {VARIABLE}: "
+            "PYTHONPATH=tests python -m nodes.bags.public_bags FOLDER --fetch"
+        )
     return convert(path, folder) if one.is_ros1 else path
 
 

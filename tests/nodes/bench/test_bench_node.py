@@ -15,9 +15,9 @@ import cv2
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
-from line_socket import LineSocket
 from nodes.small_bench import LAYOUT_FILE, SMALL
 from rclpy.parameter import Parameter
+from support.line_socket import LineSocket
 
 from icu_common.adapters.frame_link import FrameClient
 from icu_common.core.configuration.config import ConfigError, from_mapping

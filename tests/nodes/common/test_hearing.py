@@ -157,7 +157,7 @@ def test_in_a_simulation_the_steps_of_its_time_show_that_others_are_heard(
     try:
         node = ros.node(functools.partial(GraphNode, "node"), {"use_sim_time": True})
         bench = ros.node(functools.partial(GraphNode, "bench"), {"use_sim_time": True})
-        clock = bench.create_publisher(Clock, "/clock", qos.RESULTS)
+        clock = bench.create_publisher(Clock, "/clock", qos.LATCHED)
         hearing.listen(node)
         assert {subscription.topic_name for subscription in node.subscriptions} == {"/clock"}
         ros.spin_until(lambda: clock.get_subscription_count() == 2, 10.0)

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from pinhole import pinhole
 from sensor_msgs.msg import CameraInfo
 from std_msgs.msg import Float64MultiArray
+from support.pinhole import pinhole
 
 from icu_common.core.geometry.geometry import Transform
 from icu_common.core.goals.results import Felt, GoalResult, Outcome

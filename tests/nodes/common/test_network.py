@@ -11,9 +11,9 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
-from ros_rig import Ros, domain_of_worker
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
+from support.ros_rig import Ros, domain_of_worker
 
 from icu_common.adapters import transport_profile
 from icu_common.adapters.transport_profile import check_environment

@@ -12,8 +12,8 @@ from typing import Any
 
 import pytest
 from geometry_msgs.msg import PoseStamped
-from ros_rig import participant
 from std_msgs.msg import String
+from support.ros_rig import participant
 
 from icu_common.nodes import qos
 from icu_common.nodes.admission.sources import SourceWatch

@@ -358,7 +358,9 @@ def test_prepare_reports_its_progress_for_programs(ros: Any, bench: GantryBench)
     assert code == 0, output
     reports = [preparation.from_line(line) for line in output.splitlines() if line.startswith("{")]
     stages = list(dict.fromkeys(report.stage for report in reports))
-    assert stages == [stage for stage in preparation.Stage if stage is not preparation.Stage.FAILED], output
+    assert stages == [
+        stage for stage in preparation.PreparationStage if stage is not preparation.PreparationStage.FAILED
+    ], output
     assert (1, 12) in [(report.done, report.total) for report in reports]
 
 
@@ -367,8 +369,10 @@ def test_prepare_reports_what_failed_for_programs(ros: Any, bench: GantryBench) 
     code, output = Program(ros, "gantry_prepare", "--json", "--timeout", "30").end()
     assert code == 1, output
     last = preparation.from_line(output.splitlines()[-1])
-    assert last.stage is preparation.Stage.FAILED and last.failed_at is preparation.Stage.CALIBRATING
-    assert last.cause is preparation.Cause.REFUSED and "3 of 12 samples" in last.text
+    assert (
+        last.stage is preparation.PreparationStage.FAILED and last.failed_at is preparation.PreparationStage.CALIBRATING
+    )
+    assert last.cause is preparation.PreparationCause.REFUSED and "3 of 12 samples" in last.text
 
 
 def test_prepare_asks_for_homing_again_while_the_heartbeat_is_on_its_way(ros: Any, bench: GantryBench) -> None:

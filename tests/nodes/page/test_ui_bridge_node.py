@@ -20,15 +20,15 @@ from typing import Any
 import aiohttp
 import numpy as np
 import pytest
-from deadlines import wait_until
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PointStamped, PoseStamped, TransformStamped
-from pinhole import pinhole
 from rcl_interfaces.msg import Log
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import CameraInfo, Image, JointState, PointCloud2
 from std_msgs.msg import Empty, Float32, Float64MultiArray, Header, String
 from std_srvs.srv import SetBool, Trigger
+from support.deadlines import wait_until
+from support.pinhole import pinhole
 from trajectory_msgs.msg import JointTrajectory
 from visualization_msgs.msg import MarkerArray
 

@@ -17,14 +17,14 @@ from sensor_msgs.msg import Image
 from std_msgs.msg import String
 from unit.harris_perception.drawn_board import picture, poses
 
-from harris_perception.core.cameras.board import Board
+from harris_perception.core.cameras.board import CalibrationBoard
 from harris_perception.core.cameras.view_collection import ViewCollection
 from harris_perception.nodes.calibration_capture import CalibrationCaptureNode
 from icu_common.nodes import qos
 from icu_common.nodes.messages.cameras import image_message
 from icu_common.nodes.messages.heads import header
 
-BOARD = Board(columns=9, rows=6, square_m=0.025)
+BOARD = CalibrationBoard(columns=9, rows=6, square_m=0.025)
 
 
 def test_still_and_new_moments_are_kept_from_both_cameras(ros: Any, tmp_path: Path) -> None:

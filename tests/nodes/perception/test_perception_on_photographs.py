@@ -11,8 +11,8 @@ import cv2
 import numpy as np
 import pytest
 from geometry_msgs.msg import PoseStamped
-from pinhole import pinhole
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2
+from support.pinhole import pinhole
 
 from harris_perception.nodes.camera_node import CameraNode
 from harris_perception.nodes.corners_node import CornersNode

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PointStamped, PoseStamped, TransformStamped
-from parameter_files import CONFIG, parameters
 from sensor_msgs.msg import CameraInfo, Image
 from std_msgs.msg import Float32
+from support.parameter_files import CONFIG, parameters
 
 from harris_perception.nodes.stylus_node import StylusNode
 from icu_common.core.alignment.layout import DeviationCode

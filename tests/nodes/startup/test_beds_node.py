@@ -13,9 +13,9 @@ import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from ros_rig import Ros
 from sensor_msgs.msg import Image
 from std_msgs.msg import String
+from support.ros_rig import Ros
 
 from harris_perception.cli.stereo import stereo
 from icu_bringup.nodes import beds_node

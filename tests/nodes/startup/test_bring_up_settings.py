@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 from rclpy.node import Node
-from ros_rig import Ros
+from support.ros_rig import Ros
 
 from icu_bringup.cli import bring_up, graph_run
 

@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from rcl_interfaces.srv import GetParameters
-from ros_rig import Ros
 from sensor_msgs.msg import Image, PointCloud2
+from support.ros_rig import Ros
 
 from icu_common.nodes import qos
 from icu_common.nodes.messages.cameras import image_message

@@ -15,10 +15,10 @@ from typing import Any
 
 import pytest
 from geometry_msgs.msg import PointStamped
-from line_socket import BoardSocket
-from ros_rig import Ros
 from std_msgs.msg import Header, String
 from std_srvs.srv import SetBool, Trigger
+from support.line_socket import BoardSocket
+from support.ros_rig import Ros
 
 from icu_bringup.nodes.beds_node import BedsNode
 from icu_common.nodes import qos

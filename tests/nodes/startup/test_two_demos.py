@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from deadlines import wait_until
+from support.deadlines import wait_until
 
 pytestmark = pytest.mark.long
 

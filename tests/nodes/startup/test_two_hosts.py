@@ -17,9 +17,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from deadlines import wait_until
-from line_socket import BoardSocket
-from ros_rig import domain_of_worker
+from support.deadlines import wait_until
+from support.line_socket import BoardSocket
+from support.ros_rig import domain_of_worker
 
 pytestmark = pytest.mark.long
 

@@ -13,11 +13,11 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 import yaml
-from foreign_bags import TYPES, bag, text
 from golden.expectation import BAG as GOLDEN
 from golden.expectation import BAG_CHECK, ROOT
 from rosbags.rosbag1 import Writer
 from rosbags.typesys import Stores, get_typestore
+from support.foreign_bags import TYPES, bag, text
 
 from icu_bringup.adapters.bag.bag_reader import BagReader
 from icu_bringup.core.check.expectation import from_yaml

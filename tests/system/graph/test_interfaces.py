@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from node_interfaces import Interfaces, interfaces_of, seen_in, text_of, with_those_at_times
-from ros_rig import participant
+from support.ros_rig import participant
+from system.graph.node_interfaces import Interfaces, interfaces_of, seen_in, text_of, with_those_at_times
 
 from icu_bringup.core.startup.graph_description import load_graph
 

@@ -14,8 +14,8 @@ from collections.abc import Iterator
 from typing import Any
 
 import pytest
-from ros_rig import domain_of_worker
 from std_msgs.msg import String
+from support.ros_rig import domain_of_worker
 from system.conftest import RunningGraph
 from system.damaging_proxy import DamagingProxy
 from system.terminal_operator import Operator

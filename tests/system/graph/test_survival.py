@@ -21,10 +21,10 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
 from rcl_interfaces.msg import Log
-from ros_rig import keeping_all
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import String
 from std_srvs.srv import SetBool
+from support.ros_rig import keeping_all
 from system.terminal_operator import Operator
 
 from icu_common.core.goals.results import Outcome

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 from geometry_msgs.msg import PoseStamped
-from ros_rig import Ros, participant
 from std_msgs.msg import Header, String
+from support.ros_rig import Ros, participant
 from system.terminal_operator import Operator
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 

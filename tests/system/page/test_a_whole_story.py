@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from ros_rig import domain_of_worker
+from support.ros_rig import domain_of_worker
 from system.conftest import ROOT, RunningGraph, executable, wait_for
 from system.operator_browser import Operator
 

@@ -19,7 +19,7 @@ import cv2
 import numpy as np
 import pytest
 from fluent.runtime import FluentBundle, FluentResource
-from message_files import GRAPH, PAGE, constants, messages, values
+from support.message_files import GRAPH, PAGE, constants, messages, values
 from system.conftest import executable
 from system.operator_browser import Operator
 from system.page_instrument import Instrument

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from typing import Any
 
 import pytest
-from ros_rig import domain_of_worker
+from support.ros_rig import domain_of_worker
 from system.machine_rig import MachineRig
 from system.operator_browser import Operator
 

@@ -10,7 +10,7 @@ import pytest
 from fluent.syntax import FluentParser, FluentSerializer
 from fluent.syntax import ast as ftl
 from fluent.syntax.visitor import Transformer
-from message_files import GRAPH, PAGE
+from support.message_files import GRAPH, PAGE
 from system.operator_browser import Operator
 from system.page_instrument import ROOT, Instrument
 from system.page_rig import PERSON, instrument

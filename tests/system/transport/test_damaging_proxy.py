@@ -9,8 +9,8 @@ import time
 import tty
 from pathlib import Path
 
-from deadlines import wait_until
 from nodes.grbl_board import GrblBoard
+from support.deadlines import wait_until
 from system.damaging_proxy import DamagingProxy, Direction
 
 ANSWER_WITHIN_S = 20.0

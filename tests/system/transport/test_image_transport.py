@@ -15,7 +15,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from ros_rig import domain_of_worker
+from support.ros_rig import domain_of_worker
 
 ROOT = Path(__file__).resolve().parents[3]
 COUNT = 300

@@ -7,12 +7,12 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from pinhole import pinhole
+from support.pinhole import pinhole
 
 from gantry_driver.core.goals.controller import Controller
 from gantry_driver.core.job import controller_messages as msg
 from gantry_driver.core.job.controller_config import ControllerConfig
-from gantry_driver.core.job.goal_job import Phase
+from gantry_driver.core.job.goal_job import GoalPhase
 from gantry_driver.core.motion.scene import PanelControl, PanelMap
 from icu_common.core.geometry.geometry import Array, Transform
 from icu_common.core.goals.results import GoalResult, Outcome
@@ -103,7 +103,7 @@ class Bench:
         self.calibration: tuple[Transform, Array] | None = (CAMERA_FROM_BASE, np.eye(2))
         self.answer: Outcome = Outcome.REACHED
         self.answer_reason = ""
-        self.on_phase: dict[Phase, Callable[[Bench], None]] = {}
+        self.on_phase: dict[GoalPhase, Callable[[Bench], None]] = {}
         # States of the controls, for tests that make them visible ("state" in talking).
         self.knob_deg = 20.0
         self.knob_slips = 0.0
@@ -189,7 +189,7 @@ class Bench:
 
     @property
     def states(self) -> list[str]:
-        return [a.text for a in self.actions if isinstance(a, msg.SetState)]
+        return [a.text for a in self.actions if isinstance(a, msg.PublishState)]
 
     @property
     def stops(self) -> int:
@@ -215,7 +215,7 @@ class Bench:
         self._steps += 1
         self._move()
         if "heartbeat" in self.talking and self._steps % 10 == 0:
-            self.tell(msg.Heartbeat())
+            self.tell(msg.OperatorHeartbeat())
         if "joints" in self.talking and self._steps % 3 == 0:
             self.tell(msg.Joints(readings=self.readings.copy()))
         if self._steps % 3 == 1:

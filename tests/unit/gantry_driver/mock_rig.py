@@ -6,7 +6,7 @@ import re
 from dataclasses import dataclass, field
 
 from gantry_driver.mock.firmware.options import BoardOptions
-from gantry_driver.mock.machine import Machine
+from gantry_driver.mock.machine import MockMachine
 from gantry_driver.mock.mechanics import MechanicsOptions
 from gantry_driver.mock.settings import make_eeprom
 
@@ -31,7 +31,7 @@ class Rig:
     mechanics: MechanicsOptions = field(default_factory=MechanicsOptions)
 
     def __post_init__(self) -> None:
-        self.machine = Machine(
+        self.machine = MockMachine(
             make_eeprom(self.settings),
             board=BoardOptions(
                 baud=self.baud, line_s=self.line_s, latency_s=self.latency_s, mist=self.mist, dialect=self.dialect

@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import Any
 
 import serial
-from deadlines import wait_until
-from line_socket import LineSocket
+from support.deadlines import wait_until
+from support.line_socket import LineSocket
 
-from gantry_driver.mock.machine import Machine
+from gantry_driver.mock.machine import MockMachine
 from gantry_driver.mock.service import Service
 from gantry_driver.mock.settings import make_eeprom
 
@@ -33,7 +33,7 @@ class Running:
         self.link, self.truth_path, self.control_path = folder / "port", folder / "truth", folder / "control"
         settings = options.pop("settings", {})
         self.service = Service(
-            Machine(make_eeprom(settings)),
+            MockMachine(make_eeprom(settings)),
             link=self.link,
             truth_socket=self.truth_path,
             control_socket=self.control_path,

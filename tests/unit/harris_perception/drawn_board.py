@@ -8,7 +8,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from harris_perception.core.cameras.board import Board, rectangles
+from harris_perception.core.cameras.board import CalibrationBoard, rectangles
 from harris_perception.core.cameras.board_detection import BoardView
 from icu_common.core.geometry.camera_model import CameraModel
 from icu_common.core.geometry.geometry import Array
@@ -25,7 +25,9 @@ def camera(name: str = "left", baseline: float = 0.0) -> CameraModel:
     return CameraModel(name=name, width=SIZE[0], height=SIZE[1], k=k, d=d, r=np.eye(3), p=p)
 
 
-def poses(rng: np.random.Generator, board: Board, count: int, tilt_deg: float = 32.0) -> list[tuple[Array, Array]]:
+def poses(
+    rng: np.random.Generator, board: CalibrationBoard, count: int, tilt_deg: float = 32.0
+) -> list[tuple[Array, Array]]:
     """Return camera_from_board rotations and translations that keep the board in the picture of camera()."""
     centre = np.append(np.array([board.columns - 1, board.rows - 1]) / 2 * board.square_m, 0.0)
     found = []
@@ -41,7 +43,7 @@ def poses(rng: np.random.Generator, board: Board, count: int, tilt_deg: float = 
 
 
 def exact(
-    board: Board,
+    board: CalibrationBoard,
     model: CameraModel,
     where: list[tuple[Array, Array]],
     rng: np.random.Generator,
@@ -68,7 +70,7 @@ def _rays() -> Any:
     return rays, np.gradient(rays, axis=1), np.gradient(rays, axis=0)
 
 
-def picture(board: Board, pose: tuple[Array, Array], rng: np.random.Generator) -> Any:
+def picture(board: CalibrationBoard, pose: tuple[Array, Array], rng: np.random.Generator) -> Any:
     """Render (H, W) uint8 of camera(): the plane is looked up for 2 x 2 rays in each pixel, then noise is added."""
     per_m, margin = 8000.0, board.square_m
     w, h = (round((v + 2 * margin) * per_m) for v in board.size_m)

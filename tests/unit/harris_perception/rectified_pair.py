@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from pinhole import pinhole
+from support.pinhole import pinhole
 
 from harris_perception.core.hand_eye.calibration_file import StoredCalibration
 from harris_perception.core.pose.planar_pose import FacePoints

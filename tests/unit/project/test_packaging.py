@@ -22,10 +22,10 @@ import pytest
 import setuptools
 import yaml
 from catkin_pkg.package import parse_package
-from parameter_files import file_values, parameters
+from support.parameter_files import file_values, parameters
 
 from icu_bringup.adapters.graph_ledger import path_of_graph
-from icu_bringup.core.startup.graph_description import GraphError, load_graph
+from icu_bringup.core.startup.graph_description import GraphDescriptionError, load_graph
 from icu_bringup.export.adapters.reading import LIBRARIES
 from icu_common.adapters.steps.step_ledger import LEDGER_VARIABLE
 
@@ -343,12 +343,12 @@ def test_ros2_launch_refuses_a_second_graph_and_a_namespace_that_is_none(
         "room": "",
     }
     given |= {"package": "", "run": str(tmp_path / "run"), "real_time": "false"}
-    with pytest.raises(GraphError, match=r"namespace \.\./bed: names of letters"):
+    with pytest.raises(GraphDescriptionError, match=r"namespace \.\./bed: names of letters"):
         start(given | {"namespace": "../bed"})
     assert list(tmp_path.iterdir()) == []
     assert start(given | {"package": "gantry_driver"}), "a part may come to a graph"
     assert start(given)
-    with pytest.raises(GraphError, match=f"runs already in ROS domain of {tmp_path.name}"):
+    with pytest.raises(GraphDescriptionError, match=f"runs already in ROS domain of {tmp_path.name}"):
         start(given)
     bring_up = [sys.executable, "-m", "icu_bringup.cli.bring_up", "--config", str(ROOT / "config")]
     second = subprocess.run(bring_up, capture_output=True, text=True, timeout=60, check=False)

@@ -29,7 +29,7 @@ GUARDS = {
     DriverConfig: {
         *("heartbeat_timeout_s", "moving_status_rate_hz", "touch_status_rate_hz", "status_timeout_s"),
         *("hold_timeout_s", "homing_timeout_s", "goal_max_age_s", "max_rest_extended_s", "lift_on_stop"),
-        "attendance_timeout_s",
+        *("attendance_timeout_s", "node_silence_s"),
         *(f"envelope.{name}" for name in ENVELOPE),
     },
     ControllerConfig: {
@@ -116,6 +116,21 @@ def test_time_limit_of_a_safety_setting_has_a_maximum_near_its_purpose(
 ) -> None:
     with pytest.raises(ConfigError, match=f"{name} = .* is above its maximum {most:g} s"):
         from_mapping(config_class, {name: value})
+
+
+MOST_TIMES = 20
+"""Maximum ratio of the maximum of a safety setting in seconds to its default."""
+
+
+@pytest.mark.parametrize("config_class", GUARDS)
+def test_no_time_limit_of_a_safety_setting_can_be_set_far_from_its_purpose(config_class: type[Config]) -> None:
+    times = [i for i in settings_of(config_class) if i.setting.guards and i.setting.unit == "s"]
+    far = {
+        i.name: (i.default, i.setting.maximum)
+        for i in times
+        if float(i.setting.maximum or 0.0) > MOST_TIMES * i.default
+    }
+    assert far == {}
 
 
 def sources() -> Iterator[tuple[Path, ast.Module]]:

@@ -1,6 +1,7 @@
 """Sub-packages: each has a map of its modules, few enough to read, and the operator page's meet by public names.
 
-The folders of tests are small enough to read, too, and no test module imports from another one.
+The folders of tests are small enough to read, too, no test module imports from another one, and what tests of several
+folders share is in tests/support.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import pytest
 
 SRC = Path(__file__).parents[3] / "src"
 TESTS = Path(__file__).parents[2]
+SUPPORT = TESTS / "support"
 CORES = [SRC / package / package / "core" for package in ("harris_perception", "scope_ui_bridge")]
 BRIDGE = SRC / "scope_ui_bridge" / "scope_ui_bridge"
 ROOMS = sorted(path.parent for folder in [*CORES, BRIDGE / "adapters"] for path in folder.glob("*/__init__.py"))
@@ -95,3 +97,37 @@ def test_no_test_module_imports_from_another() -> None:
     test_modules = {path.stem for path in TESTS.rglob("test_*.py")}
     found = [f"{path.relative_to(TESTS)}: {name}" for path, name in imported if name.rpartition(".")[2] in test_modules]
     assert found == []
+
+
+def test_shared_helpers_are_in_one_package() -> None:
+    """Pytest's own file is the only one above the folders of tests."""
+    assert {path.name for path in TESTS.glob("*.py")} == {"conftest.py"}
+    assert {name for name in modules_of(SUPPORT) if f"``{name}``" not in map_of(SUPPORT)} == set()
+    assert {path.name for path in SUPPORT.glob("test_*.py")} == set()
+
+
+def test_shared_helpers_have_docstrings() -> None:
+    without = [
+        f"{path.name}:{node.lineno} {node.name}"
+        for path in sorted(SUPPORT.glob("*.py"))
+        for owner in ast.walk(ast.parse(path.read_text()))
+        if isinstance(owner, (ast.Module, ast.ClassDef))
+        for node in owner.body
+        if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef))
+        and not node.name.startswith("_")
+        and not ast.get_docstring(node)
+    ]
+    assert without == []
+
+
+def test_shared_helper_is_not_used_by_one_folder_only() -> None:
+    """A helper of one folder is next to its tests."""
+    users: dict[str, set[str]] = {name: set() for name in modules_of(SUPPORT)}
+    for path in [*TESTS.rglob("*.py"), *(TESTS.parent / "benchmarks").rglob("*.py")]:
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.ImportFrom) and node.module:
+                package, _, module = node.module.partition(".")
+                for name in [module] if module else [alias.name for alias in node.names]:
+                    if package == "support" and name in users:
+                        users[name].add(str(path.parent.relative_to(TESTS.parent)))
+    assert {name: found for name, found in users.items() if len(found) < 2} == {}

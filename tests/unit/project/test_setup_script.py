@@ -11,7 +11,7 @@ import time
 from pathlib import Path
 
 import pytest
-from deadlines import wait_until
+from support.deadlines import wait_until
 
 pytestmark = pytest.mark.slow
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from virtual_robot import VirtualRobot
+from support.virtual_robot import VirtualRobot
 
 from icu_common.core.configuration.config import from_mapping, to_mapping
 from icu_simulator.core.configuration import BenchConfig

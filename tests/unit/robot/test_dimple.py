@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from virtual_robot import VirtualRobot
+from support.virtual_robot import VirtualRobot
 
 from icu_common.core.goals.results import Outcome
 

@@ -8,8 +8,8 @@ from __future__ import annotations
 import math
 
 import pytest
-from parameter_files import CONFIG
-from virtual_robot import VirtualRobot
+from support.parameter_files import CONFIG
+from support.virtual_robot import VirtualRobot
 
 from icu_common.core.goals.results import Outcome
 

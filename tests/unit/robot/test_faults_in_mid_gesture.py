@@ -7,9 +7,9 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 import pytest
-from virtual_robot import VirtualRobot
+from support.virtual_robot import VirtualRobot
 
-from gantry_driver.core.job.goal_job import Phase
+from gantry_driver.core.job.goal_job import GoalPhase
 from icu_common.core.goals.results import GoalResult, Outcome
 
 pytestmark = pytest.mark.slow
@@ -63,7 +63,7 @@ def leave(robot: VirtualRobot) -> None:
     robot.heart = False
 
 
-def broken(robot: VirtualRobot, command: str, phase: Phase, fault: Callable[[VirtualRobot], None]) -> GoalResult:
+def broken(robot: VirtualRobot, command: str, phase: GoalPhase, fault: Callable[[VirtualRobot], None]) -> GoalResult:
     """Give a command, make the fault happen in that phase, and return the final answer once the machine rests."""
     count = len(robot.results)
     robot.begin(command)
@@ -77,24 +77,24 @@ def broken(robot: VirtualRobot, command: str, phase: Phase, fault: Callable[[Vir
 @pytest.mark.parametrize(
     ("command", "phase", "fault", "words"),
     [
-        ("press:RUN_STOP", Phase.APPROACH, stall, "the camera has stalled: no image for 4.0 s"),
-        ("hold:RUN_STOP:5", Phase.CONTACT, stall, "the camera has stalled: no image for 1.0 s"),
+        ("press:RUN_STOP", GoalPhase.APPROACH, stall, "the camera has stalled: no image for 4.0 s"),
+        ("hold:RUN_STOP:5", GoalPhase.CONTACT, stall, "the camera has stalled: no image for 1.0 s"),
         (
             "press:RUN_STOP",
-            Phase.APPROACH,
+            GoalPhase.APPROACH,
             hand,
             "has hidden RUN_STOP|no recognition of the panel|the cameras saw the tip",
         ),
-        ("press:RUN_STOP", Phase.APPROACH, dark, "no recognition of the panel|the cameras saw the tip"),
-        ("press:RUN_STOP", Phase.APPROACH, push, "the panel has moved by"),
-        ("hold:RUN_STOP:5", Phase.CONTACT, push, "the panel has moved by"),
-        ("press:RUN_STOP", Phase.APPROACH, leave, "heartbeat"),
-        ("hold:RUN_STOP:5", Phase.CONTACT, leave, "heartbeat"),
-        ("turn:TIME_SCALE:120", Phase.TURN, leave, "heartbeat"),
+        ("press:RUN_STOP", GoalPhase.APPROACH, dark, "no recognition of the panel|the cameras saw the tip"),
+        ("press:RUN_STOP", GoalPhase.APPROACH, push, "the panel has moved by"),
+        ("hold:RUN_STOP:5", GoalPhase.CONTACT, push, "the panel has moved by"),
+        ("press:RUN_STOP", GoalPhase.APPROACH, leave, "heartbeat"),
+        ("hold:RUN_STOP:5", GoalPhase.CONTACT, leave, "heartbeat"),
+        ("turn:TIME_SCALE:120", GoalPhase.TURN, leave, "heartbeat"),
     ],
 )
 def test_ends_safely(
-    robot: VirtualRobot, command: str, phase: Phase, fault: Callable[[VirtualRobot], None], words: str
+    robot: VirtualRobot, command: str, phase: GoalPhase, fault: Callable[[VirtualRobot], None], words: str
 ) -> None:
     result = broken(robot, command, phase, fault)
     print(f"{fault.__name__} while {phase.value}: {result.reason}")
@@ -103,5 +103,5 @@ def test_ends_safely(
     assert robot.bench.tip_base()[2] >= LIFTED_M, "the stylus is up"
     named = command.split(":")[1]
     touched = {r["control"] for r in robot.take_records() if r["event"] in ("contact", "press", "collision")}
-    assert touched <= ({named} if phase in (Phase.CONTACT, Phase.TURN) else set())
+    assert touched <= ({named} if phase in (GoalPhase.CONTACT, GoalPhase.TURN) else set())
     assert np.isfinite(result.duration_s)

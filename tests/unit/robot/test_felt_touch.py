@@ -9,7 +9,7 @@ import dataclasses
 from typing import Any
 
 import pytest
-from virtual_robot import VirtualRobot
+from support.virtual_robot import VirtualRobot
 
 from icu_common.core.goals.results import Felt, GoalResult, Outcome
 from icu_simulator.core.configuration import BenchConfig

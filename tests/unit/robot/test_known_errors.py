@@ -12,8 +12,8 @@ import math
 
 import numpy as np
 import pytest
-from parameter_files import CONFIG
-from virtual_robot import VirtualRobot
+from support.parameter_files import CONFIG
+from support.virtual_robot import VirtualRobot
 
 from icu_common.core.alignment.findings import FindingCode
 from icu_common.core.alignment.layout import DeviationCode

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from camera_chain import CHAINS, Chain
-from virtual_robot import VirtualRobot
+from support.camera_chain import CHAINS, Chain
+from support.virtual_robot import VirtualRobot
 
 from icu_common.core.goals.results import Outcome
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from virtual_robot import VirtualRobot
+from support.virtual_robot import VirtualRobot
 
 from gantry_driver.core.job.controller_messages import Joints
 from gantry_driver.core.states.machine_states import Position

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from virtual_robot import VirtualRobot
+from support.virtual_robot import VirtualRobot
 
 from icu_common.core.goals.results import Felt, Outcome
 

@@ -7,14 +7,14 @@ import math
 from typing import Any
 
 import numpy as np
-from pinhole import pinhole
+from support.pinhole import pinhole
 
 from icu_common.core.geometry.geometry import Transform
 from icu_common.core.goals.results import GoalResult, Outcome
 from scope_ui_bridge.core.config import BridgeConfig
 from scope_ui_bridge.core.desk import Desk
-from scope_ui_bridge.core.effects import Broadcast, Effect, Now, Send
-from scope_ui_bridge.core.video import Face, Scene
+from scope_ui_bridge.core.effects import Broadcast, Effect, Now, SendToViewer
+from scope_ui_bridge.core.video import Face, VideoScene
 
 START_NS = 1_700_000_000_000_000_000
 BOOT = "boot-1"
@@ -34,8 +34,8 @@ def pose(shift_m: float = 0.0) -> Transform:
     return Transform(rotation, np.array([shift_m, 0.0, 0.65]) - rotation @ np.array([0.16, 0.075, 0.0]))
 
 
-def scene() -> Scene:
-    made = Scene(left=pinhole(k1=-0.08), right=pinhole("right", baseline_m=0.12, k1=-0.08), faces=FACES)
+def scene() -> VideoScene:
+    made = VideoScene(left=pinhole(k1=-0.08), right=pinhole("right", baseline_m=0.12, k1=-0.08), faces=FACES)
     made.outline = np.array([[0, 0], [0.32, 0], [0.32, 0.15], [0, 0.15], [0, 0]])
     made.place_panel(pose())
     return made
@@ -117,7 +117,7 @@ def of_type(effects: list[Effect], kind: Any) -> list[Any]:
 
 def answer(effects: list[Effect]) -> dict[str, Any]:
     """Return the one answer among the effects."""
-    (found,) = [e.message for e in of_type(effects, Send) if e.message["type"] == "answer"]
+    (found,) = [e.message for e in of_type(effects, SendToViewer) if e.message["type"] == "answer"]
     return dict(found)
 
 

@@ -15,7 +15,7 @@ import aiohttp
 import numpy as np
 from unit.scope_ui_bridge.desk_rig import scene
 
-from scope_ui_bridge.adapters.graph_port import GraphError
+from scope_ui_bridge.adapters.graph_port import GraphUnavailable
 from scope_ui_bridge.adapters.secret_files import AuditFile
 from scope_ui_bridge.adapters.web.web_server import WebServer
 from scope_ui_bridge.core.access import SignIn
@@ -36,6 +36,7 @@ PATIENT = {
 class RecordingGraph:
     def __init__(self) -> None:
         self.calls: list[tuple[Any, ...]] = []
+        self.causes: list[Any] = []
         self.refuses = ""
         self.on_call: Callable[[], None] = lambda: None
 
@@ -44,8 +45,9 @@ class RecordingGraph:
     def ros_ns(self) -> int:
         return time.time_ns()
 
-    def stop(self, answered: Callable[[bool, str], None]) -> None:
+    def stop(self, answered: Callable[[bool, str], None], cause: str = "") -> None:
         self.calls.append(("stop",))
+        self.causes.append(cause)
         answered(True, "")
 
     def heartbeat(self) -> None:
@@ -69,7 +71,7 @@ class RecordingGraph:
 
     def _take(self, *call: Any) -> None:
         if self.refuses:
-            raise GraphError(self.refuses)
+            raise GraphUnavailable(self.refuses)
         self.on_call()
         self.calls.append(call)
 

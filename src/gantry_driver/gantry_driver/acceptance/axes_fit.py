@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gantry_driver.acceptance.stops import Stop
+from gantry_driver.acceptance.stops import AcceptanceStop
 from icu_common.core.geometry.geometry import Array
 
 UNKNOWNS = 5
@@ -74,7 +74,7 @@ class AxesFit:
         return np.asarray(self.origin[:2] + readings @ self.axes[:2].T)
 
 
-def fit_axes(stops: Sequence[Stop], readings: Array, tips: Array) -> AxesFit:
+def fit_axes(stops: Sequence[AcceptanceStop], readings: Array, tips: Array) -> AxesFit:
     """Fit the axes to tips (N, 3) in the panel's frame at readings (N, 2), both in metres.
 
     Raises

@@ -15,7 +15,7 @@ AXES = ("x", "y")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Check:
+class AcceptanceCheck:
     """One row of the report; ``value`` and ``limit`` are in ``unit``, and ``note`` explains a failure."""
 
     group: str
@@ -28,20 +28,22 @@ class Check:
     note: str = ""
 
 
-def _most(group: str, name: str, value: float, limit: float, unit: str, note: str = "") -> Check:
+def _most(group: str, name: str, value: float, limit: float, unit: str, note: str = "") -> AcceptanceCheck:
     passed = bool(abs(value) <= limit)  # NaN is no pass
-    return Check(
+    return AcceptanceCheck(
         group=group, name=name, value=value, limit=limit, unit=unit, passed=passed, note="" if passed else note
     )
 
 
-def _least(group: str, name: str, value: float, limit: float, unit: str, note: str = "") -> Check:
+def _least(group: str, name: str, value: float, limit: float, unit: str, note: str = "") -> AcceptanceCheck:
     ok = bool(value >= limit)
     note = "" if ok else note
-    return Check(group=group, name=name, value=value, limit=limit, unit=unit, passed=ok, at_least=True, note=note)
+    return AcceptanceCheck(
+        group=group, name=name, value=value, limit=limit, unit=unit, passed=ok, at_least=True, note=note
+    )
 
 
-def all_checks(measured: Measured, limits: AcceptanceLimits) -> list[Check]:
+def all_checks(measured: Measured, limits: AcceptanceLimits) -> list[AcceptanceCheck]:
     """Return the checks in the order of the report."""
     return [
         *_travel(measured, limits),
@@ -51,7 +53,7 @@ def all_checks(measured: Measured, limits: AcceptanceLimits) -> list[Check]:
     ]
 
 
-def _travel(measured: Measured, limits: AcceptanceLimits) -> Iterator[Check]:
+def _travel(measured: Measured, limits: AcceptanceLimits) -> Iterator[AcceptanceCheck]:
     corners = [visit for visit in measured.visits if visit.stop.corner]
     reached = [visit for visit in corners if not visit.problem]
     problems = "; ".join(visit.problem for visit in measured.visits if visit.problem)
@@ -72,7 +74,7 @@ def _travel(measured: Measured, limits: AcceptanceLimits) -> Iterator[Check]:
     )
 
 
-def _axes(measured: Measured, limits: AcceptanceLimits) -> Iterator[Check]:
+def _axes(measured: Measured, limits: AcceptanceLimits) -> Iterator[AcceptanceCheck]:
     fit, nan = measured.fit, [math.nan, math.nan]
     why = measured.fit_problem
     turned = nan if fit is None else fit.direction_deg
@@ -96,7 +98,7 @@ def _axes(measured: Measured, limits: AcceptanceLimits) -> Iterator[Check]:
     yield _most("backlash", "rms distance from straight axes", 1e3 * rms, 1e3 * limits.straightness_m, "mm", note)
 
 
-def _cameras(measured: Measured, limits: AcceptanceLimits) -> Iterator[Check]:
+def _cameras(measured: Measured, limits: AcceptanceLimits) -> Iterator[AcceptanceCheck]:
     for camera in measured.cameras:
         note = "focus the lens on the panel, fix it, then calibrate the cameras again"
         yield _most("camera", f"{camera.name}: blur of edges", camera.blur_px, limits.blur_px, "px", note)
@@ -108,7 +110,7 @@ def _cameras(measured: Measured, limits: AcceptanceLimits) -> Iterator[Check]:
     yield _least("camera", "stops with the tip seen", 100 * share, 100 * limits.seen_share_min, "%", note)
 
 
-def _touches(measured: Measured, limits: AcceptanceLimits) -> Iterator[Check]:
+def _touches(measured: Measured, limits: AcceptanceLimits) -> Iterator[AcceptanceCheck]:
     touched = [touch for touch in measured.touches if touch.touched]
     problems = "; ".join(dict.fromkeys(touch.reason for touch in measured.touches if not touch.touched))
     missing = measured.wanted_touches - len(measured.touches)

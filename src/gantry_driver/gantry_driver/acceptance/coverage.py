@@ -15,7 +15,7 @@ _PER_EDGE = 50
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class View:
+class PanelCoverage:
     """The panel in an image: outline (N, 2) in pixels, the share of it inside, and the smallest margin in pixels."""
 
     outline_px: Array
@@ -30,15 +30,15 @@ def along_outline(corners: Array) -> Array:
     return np.vstack([a + steps * (b - a) for a, b in itertools.pairwise(closed)])
 
 
-def view_of(outline_px: Array, width: int, height: int) -> View:
+def view_of(outline_px: Array, width: int, height: int) -> PanelCoverage:
     """Return the view of an outline (N, 2) in pixels; a point that the camera cannot see is NaN."""
     ends = np.array([width - 1, height - 1])
     margins = np.minimum(outline_px, ends - outline_px).min(axis=1)
     seen = np.nan_to_num(margins, nan=-np.inf)
-    return View(outline_px=outline_px, share=float((seen >= 0).mean()), margin_px=float(seen.min()))
+    return PanelCoverage(outline_px=outline_px, share=float((seen >= 0).mean()), margin_px=float(seen.min()))
 
 
-def mask_of(view: View, width: int, height: int) -> npt.NDArray[np.bool_]:
+def mask_of(view: PanelCoverage, width: int, height: int) -> npt.NDArray[np.bool_]:
     """Return the pixels (height, width) inside the outline."""
     mask = np.zeros((height, width), np.uint8)
     points = view.outline_px[np.isfinite(view.outline_px).all(axis=1)]

@@ -9,8 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from gantry_driver.acceptance.axes_fit import AxesFit
-from gantry_driver.acceptance.coverage import View
-from gantry_driver.acceptance.stops import Stop
+from gantry_driver.acceptance.coverage import PanelCoverage
+from gantry_driver.acceptance.stops import AcceptanceStop
 from icu_common.core.geometry.geometry import Array
 
 
@@ -21,7 +21,7 @@ class Visit:
     ``problem`` is the answer of the controller if the stop was not reached.
     """
 
-    stop: Stop
+    stop: AcceptanceStop
     reading: Array
     tip: Array | None
     problem: str = ""
@@ -43,7 +43,7 @@ class Beyond:
 
 
 @dataclass(slots=True, eq=False, kw_only=True)
-class Touch:
+class MeasuredTouch:
     """A touch of a point (2,) in metres of the panel, and the answer of the controller."""
 
     point: Array
@@ -54,12 +54,12 @@ class Touch:
 
 
 @dataclass(slots=True, eq=False, kw_only=True)
-class CameraSeen:
+class CameraSnapshot:
     """The image of one camera, bgr8, and what it shows."""
 
     name: str
     image: npt.NDArray[np.uint8]
-    view: View
+    view: PanelCoverage
     blur_px: float
     touch_px: Array
     """Pixels (N, 2) of the touched points."""
@@ -77,8 +77,8 @@ class Measured:
     beyond: list[Beyond] = field(default_factory=list)
     fit: AxesFit | None = None
     fit_problem: str = ""
-    cameras: list[CameraSeen] = field(default_factory=list)
-    touches: list[Touch] = field(default_factory=list)
+    cameras: list[CameraSnapshot] = field(default_factory=list)
+    touches: list[MeasuredTouch] = field(default_factory=list)
 
     @property
     def seen(self) -> list[Visit]:

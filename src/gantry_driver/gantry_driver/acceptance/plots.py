@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from gantry_driver.acceptance.measured import CameraSeen, Measured, Touch
+from gantry_driver.acceptance.measured import CameraSnapshot, Measured, MeasuredTouch
 from icu_common.core.geometry.geometry import Array
 
 _WIDTH = 640.0
@@ -105,7 +105,7 @@ def touch_plot(measured: Measured, limit_m: float) -> str:
     return plot.svg()
 
 
-def marked_image(camera: CameraSeen, touches: Sequence[Touch]) -> npt.NDArray[np.uint8]:
+def marked_image(camera: CameraSnapshot, touches: Sequence[MeasuredTouch]) -> npt.NDArray[np.uint8]:
     """Return a copy of the image with the panel's outline and the touched points."""
     image = np.ascontiguousarray(camera.image).copy()
     outline = camera.view.outline_px

@@ -9,7 +9,7 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-from gantry_driver.acceptance.checks import Check
+from gantry_driver.acceptance.checks import AcceptanceCheck
 from gantry_driver.acceptance.limits import AcceptanceLimits
 from gantry_driver.acceptance.measured import Measured
 from gantry_driver.acceptance.plots import axes_plot, touch_plot
@@ -27,7 +27,7 @@ td.n{text-align:right;font-variant-numeric:tabular-nums}.ok{color:#1a7f37}.bad{c
 img,svg{max-width:100%;height:auto;border:1px solid #d0d7de}h1 span{font-size:1rem}"""
 
 
-def passed(checks: Sequence[Check]) -> bool:
+def passed(checks: Sequence[AcceptanceCheck]) -> bool:
     """Return whether a machine with these checks is accepted."""
     return bool(checks) and all(check.passed for check in checks)
 
@@ -39,7 +39,7 @@ def shown(value: float) -> str:
     return f"{value:.0f}" if float(value).is_integer() else f"{value:.4g}"
 
 
-def line(check: Check) -> str:
+def line(check: AcceptanceCheck) -> str:
     """Return a check as one line of text."""
     limit = f"{'at least' if check.at_least else 'limit'} {shown(check.limit)}"
     verdict = "ok  " if check.passed else "FAIL"
@@ -48,7 +48,9 @@ def line(check: Check) -> str:
     return f"{verdict} {check.group}: {check.name}: {shown(check.value)}{unit} ({limit}{unit}){note}"
 
 
-def as_json(measured: Measured, checks: Sequence[Check], limits: AcceptanceLimits, about: dict[str, str]) -> str:
+def as_json(
+    measured: Measured, checks: Sequence[AcceptanceCheck], limits: AcceptanceLimits, about: dict[str, str]
+) -> str:
     """Return the report as JSON; NaN becomes null."""
     fit = measured.fit
     document: dict[str, Any] = {
@@ -115,7 +117,7 @@ def _plain(value: Any) -> Any:
 
 def as_html(
     measured: Measured,
-    checks: Sequence[Check],
+    checks: Sequence[AcceptanceCheck],
     limits: AcceptanceLimits,
     about: dict[str, str],
     pictures: Sequence[tuple[str, bytes]],
@@ -143,7 +145,7 @@ def as_html(
     )
 
 
-def _row(check: Check) -> str:
+def _row(check: AcceptanceCheck) -> str:
     sign = "≥" if check.at_least else "≤"
     result = '<td class="ok">passed</td>' if check.passed else f'<td class="bad">failed: {html.escape(check.note)}</td>'
     value, limit = f"{shown(check.value)} {check.unit}", f"{sign} {shown(check.limit)} {check.unit}"

@@ -16,7 +16,7 @@ _SHARES = (1 / 3, 2 / 3)
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Stop:
+class AcceptanceStop:
     """One position: readings (2,) in metres, and whether it is a corner of the travel.
 
     ``from_above`` (2,) is 1 where the axis arrives from above, 0 where from below. The controller approaches every
@@ -28,7 +28,7 @@ class Stop:
     from_above: Array
 
 
-def plan_stops(low: Array, high: Array) -> list[Stop]:
+def plan_stops(low: Array, high: Array) -> list[AcceptanceStop]:
     """Return the stops for the limits (2,) in metres: the centre, the four corners, and pairs for the backlash.
 
     Each stop at a lower limit follows one away from it, so that the axis arrives there from above. The next stops may
@@ -44,7 +44,7 @@ def plan_stops(low: Array, high: Array) -> list[Stop]:
         x = x0 + share * (x1 - x0)
         readings += [(x, y0 + BESIDE_M, False), (x, y0, False)]
     return [
-        Stop(reading=np.array([x, y]), corner=corner, from_above=np.array([float(x == x0), float(y == y0)]))
+        AcceptanceStop(reading=np.array([x, y]), corner=corner, from_above=np.array([float(x == x0), float(y == y0)]))
         for x, y, corner in readings
     ]
 

@@ -17,7 +17,7 @@ from visualization_msgs.msg import MarkerArray
 
 from gantry_driver.acceptance.axes_fit import fit_axes
 from gantry_driver.acceptance.coverage import along_outline, mask_of, view_of
-from gantry_driver.acceptance.measured import Beyond, CameraSeen, Measured, Touch, Visit
+from gantry_driver.acceptance.measured import Beyond, CameraSnapshot, Measured, MeasuredTouch, Visit
 from gantry_driver.acceptance.sharpness import edge_blur_px
 from gantry_driver.acceptance.stops import beyond, plan_stops
 from gantry_driver.acceptance.touch_points import choose_points
@@ -143,7 +143,7 @@ class AcceptanceRun:
         for number, point in enumerate(points, start=1):
             result = self._goal((*point, 0.0), PANEL)
             touched = result.outcome is Outcome.REACHED and result.touch is not None and result.touch.contact
-            done = Touch(
+            done = MeasuredTouch(
                 point=point,
                 touched=touched,
                 error_m=result.error_m,
@@ -198,7 +198,7 @@ class AcceptanceRun:
             view = view_of(pixels[0], model.width, model.height)
             blur = edge_blur_px(image.mean(axis=2).astype(np.uint8), mask_of(view, model.width, model.height))
             self.measured.cameras.append(
-                CameraSeen(name=side, image=image, view=view, blur_px=blur, touch_px=pixels[1])
+                CameraSnapshot(name=side, image=image, view=view, blur_px=blur, touch_px=pixels[1])
             )
 
     def _axes(self) -> Array | None:

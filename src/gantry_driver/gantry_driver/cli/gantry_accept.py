@@ -40,7 +40,7 @@ _JPEG = (cv2.IMWRITE_JPEG_QUALITY, 85)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Order:
+class AcceptanceOptions:
     """The command line's order: the folder of the report, the number of touches, the limits, and the machine's name."""
 
     out: Path
@@ -49,7 +49,7 @@ class Order:
     machine: str
 
 
-def parse(arguments: Sequence[str]) -> Order:
+def parse(arguments: Sequence[str]) -> AcceptanceOptions:
     """Read the arguments.
 
     Raises
@@ -78,10 +78,10 @@ def parse(arguments: Sequence[str]) -> Order:
         limits = limits_of(given.limit)
     except (ConfigError, ValueError) as error:
         parser.error(str(error))
-    return Order(out=given.out, touches=given.touches, limits=limits, machine=given.machine)
+    return AcceptanceOptions(out=given.out, touches=given.touches, limits=limits, machine=given.machine)
 
 
-def write_report(run: AcceptanceRun, order: Order, about: dict[str, str]) -> bool:
+def write_report(run: AcceptanceRun, order: AcceptanceOptions, about: dict[str, str]) -> bool:
     """Print the checks, write both files, and return whether the machine is accepted."""
     measured = run.measured
     checks = all_checks(measured, order.limits)

@@ -46,7 +46,7 @@ STALE_TRIES = 3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Request:
+class GoalRequest:
     """Request in the arguments: a move in base_link (``xyz`` in metres), or a gesture."""
 
     xyz: tuple[float, float, float] | None = None
@@ -54,7 +54,7 @@ class Request:
     timeout_s: float = 60.0
 
 
-def parse(arguments: Sequence[str]) -> Request:
+def parse(arguments: Sequence[str]) -> GoalRequest:
     """Read the arguments.
 
     Raises
@@ -105,7 +105,7 @@ def parse(arguments: Sequence[str]) -> Request:
         parser.error("--z belongs to a move in base_link; a touch finds the surface itself")
     if not touch:
         x, y = given.point
-        return Request(xyz=(x, y, given.z or 0.0), timeout_s=given.timeout)
+        return GoalRequest(xyz=(x, y, given.z or 0.0), timeout_s=given.timeout)
     target = given.control or Point(x=given.point[0], y=given.point[1], frame=given.frame or BASE)
     identifier = f"cli-{os.getpid()}-{time.time_ns()}"
     place = target if isinstance(target, str) else f"{target.x!r},{target.y!r}@{target.frame}"
@@ -113,7 +113,7 @@ def parse(arguments: Sequence[str]) -> Request:
         gesture = parse_gesture(f"{kind}:{place}{extra} id={identifier}")
     except GestureError as error:
         parser.error(str(error))
-    return Request(gesture=gesture, timeout_s=given.timeout)
+    return GoalRequest(gesture=gesture, timeout_s=given.timeout)
 
 
 def _gesture(given: argparse.Namespace) -> tuple[str, str]:
@@ -128,7 +128,7 @@ def _gesture(given: argparse.Namespace) -> tuple[str, str]:
     return ("long" if given.long else "double" if given.double else "press"), ""
 
 
-def carry_out(session: OperatorSession, request: Request) -> int:
+def carry_out(session: OperatorSession, request: GoalRequest) -> int:
     """Publish the goal and wait for its final answer."""
     until = time.monotonic() + request.timeout_s
     node = session.node

@@ -30,7 +30,13 @@ from gantry_driver.cli.operator_session import (
 )
 from icu_common.adapters.processes.processor_load import LoadMeter, measure_processor_load
 from icu_common.adapters.processes.program_end import ends_quietly
-from icu_common.core.processes.preparation import Cause, Report, Stage, calibration_report, to_line
+from icu_common.core.processes.preparation import (
+    PreparationCause,
+    PreparationReport,
+    PreparationStage,
+    calibration_report,
+    to_line,
+)
 from icu_common.core.processes.processor_load import ProcessorLoad
 from icu_common.core.reasons.codes import DriverCode
 from icu_common.core.reasons.state_text import state_name
@@ -52,7 +58,7 @@ CODE_S = 3.0
 """Maximum seconds to wait for the code of a state, which arrives on another topic than its text."""
 
 
-class Failed(Exception):
+class PreparationFailed(Exception):
     """A step was rejected or has failed; the message gives the reason."""
 
 
@@ -75,30 +81,34 @@ class Narrator:
 
     def __init__(self, *, json: bool = False) -> None:
         self._json = json
-        self.stage = Stage.CONNECTING
+        self.stage = PreparationStage.CONNECTING
 
-    def begin(self, stage: Stage) -> None:
+    def begin(self, stage: PreparationStage) -> None:
         """Note the next step."""
         self.stage = stage
         if self._json:
-            say(to_line(Report(stage=stage)))
+            say(to_line(PreparationReport(stage=stage)))
 
     def say(self, text: str) -> None:
         """Print a sentence about the current step."""
-        say(to_line(Report(stage=self.stage, text=text)) if self._json else text)
+        say(to_line(PreparationReport(stage=self.stage, text=text)) if self._json else text)
 
     def state(self, what: str, text: str) -> None:
         """Print a state that the current step follows."""
-        if self._json and self.stage is Stage.CALIBRATING:
+        if self._json and self.stage is PreparationStage.CALIBRATING:
             say(to_line(calibration_report(text)))
         else:
             self.say(f"{what}: {text}")
 
-    def fail(self, cause: Cause, reason: str) -> None:
+    def fail(self, cause: PreparationCause, reason: str) -> None:
         """Print why the current step has failed."""
         if self._json:
-            say(to_line(Report(stage=Stage.FAILED, failed_at=self.stage, cause=cause, text=reason)))
-        elif cause is Cause.INTERRUPTED:
+            say(
+                to_line(
+                    PreparationReport(stage=PreparationStage.FAILED, failed_at=self.stage, cause=cause, text=reason)
+                )
+            )
+        elif cause is PreparationCause.INTERRUPTED:
             say(reason)
         else:
             complain(reason)
@@ -119,23 +129,23 @@ def prepare(
 
     Raises
     ------
-    Failed, TimedOut, Interrupted
+    PreparationFailed, TimedOut, Interrupted
     """
     for topic in (DRIVER, CALIBRATION):
         session.watch(topic)
     session.watch_codes(DRIVER)
     narrator = narrator or Narrator()
-    steps = _Steps(session, timeout_s, growth, narrator=narrator)
-    narrator.begin(Stage.CONNECTING)
+    steps = _PreparationSteps(session, timeout_s, growth, narrator=narrator)
+    narrator.begin(PreparationStage.CONNECTING)
     steps.connect()
-    narrator.begin(Stage.ENABLING)
+    narrator.begin(PreparationStage.ENABLING)
     steps.call(SetBool, "gantry/enable", SetBool.Request(data=True))
     # The state may still be the one before the call: homed, but not enabled.
     if home or state_name(session.latest(DRIVER)) not in ("idle", "disabled"):
-        narrator.begin(Stage.HOMING)
+        narrator.begin(PreparationStage.HOMING)
         steps.call(Trigger, "gantry/home", Trigger.Request(), patience_s=HOME_S)
         steps.follow(DRIVER, "homing", done=lambda text: text == "idle", failed=_BROKEN)
-    narrator.begin(Stage.CAMERAS)
+    narrator.begin(PreparationStage.CAMERAS)
     # A stored calibration counts once the cameras have shown that it belongs to them.
     steps.wait(
         lambda: session.latest(CALIBRATION) and "waiting" not in session.latest(CALIBRATION),
@@ -146,14 +156,14 @@ def prepare(
         if calibration != "calibrating":
             # Cameras can take longer to start than a machine to home.
             steps.call(Trigger, "calibration/run", Trigger.Request(), patience_s=CAMERA_S)
-        narrator.begin(Stage.CALIBRATING)
+        narrator.begin(PreparationStage.CALIBRATING)
         steps.follow(CALIBRATION, "calibration", done=lambda t: state_name(t) == "calibrated", failed=("failed",))
-    narrator.begin(Stage.CONTROLLER)
+    narrator.begin(PreparationStage.CONTROLLER)
     steps.wait_ready()
-    narrator.begin(Stage.READY)
+    narrator.begin(PreparationStage.READY)
 
 
-class _Steps:
+class _PreparationSteps:
     def __init__(
         self,
         session: OperatorSession,
@@ -221,10 +231,10 @@ class _Steps:
                 CONNECT_S,
             )
         except TimedOut as error:
-            raise Failed(str(error)) from error
+            raise PreparationFailed(str(error)) from error
         text = session.latest(DRIVER)
         if state_name(text) in _BROKEN:
-            raise Failed(f"the driver is {text!r}{self._advice(text)}")
+            raise PreparationFailed(f"the driver is {text!r}{self._advice(text)}")
 
     def _advice(self, text: str) -> str:
         """Return how to leave a driver's state, as the end of a sentence; empty if the state's reason includes it."""
@@ -261,7 +271,7 @@ class _Steps:
             again = time.monotonic() + RETRY_S
             late = again > min(began + patience_s * self._factor, self._until)
             if late and not (patience_s and self._grow(f"{name} is refused so far: {answer_of(answer.message)}")):
-                raise Failed(f"{name} was refused: {answer_of(answer.message)}")
+                raise PreparationFailed(f"{name} was refused: {answer_of(answer.message)}")
             if answer_of(answer.message) != refusal:
                 refusal = answer_of(answer.message)
                 self._narrator.say(f"{name} is refused so far: {refusal}")
@@ -281,12 +291,12 @@ class _Steps:
         def ended() -> bool:
             nonlocal shown
             if self._session.publishers(topic) - asked:  # the state of a restarted program is not that of this step
-                raise Failed(f"{what} was cut short: the node that was asked has been started anew")
+                raise PreparationFailed(f"{what} was cut short: the node that was asked has been started anew")
             for text in texts[shown:]:
                 shown += 1
                 self._narrator.state(what, text)
                 if state_name(text) in failed:
-                    raise Failed(f"{what}: {text}{self._advice(text)}")
+                    raise PreparationFailed(f"{what}: {text}{self._advice(text)}")
                 if done(text):
                     return True
             return False
@@ -306,7 +316,7 @@ class _Steps:
                 last = text
                 self._narrator.say(f"controller: {text}")
             if state_name(text) in ("stopped", "alarm"):
-                raise Failed(f"the controller is {text!r}")
+                raise PreparationFailed(f"the controller is {text!r}")
             return text == "ready"
 
         missing = lambda: f"the controller is {session.latest(CONTROLLER)!r}, not ready"  # noqa: E731
@@ -344,15 +354,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 growth=limits[1],
                 narrator=narrator,
             )
-        except Failed as error:
-            narrator.fail(Cause.REFUSED, str(error))
+        except PreparationFailed as error:
+            narrator.fail(PreparationCause.REFUSED, str(error))
             return FAILED
         except TimedOut as error:
             load = measure_processor_load()
-            narrator.fail(Cause.TIMED_OUT, f"{error}; {load.text()}" if load.busy else str(error))
+            narrator.fail(PreparationCause.TIMED_OUT, f"{error}; {load.text()}" if load.busy else str(error))
             return TIMED_OUT
         except Interrupted:
-            narrator.fail(Cause.INTERRUPTED, "interrupted: stopping")
+            narrator.fail(PreparationCause.INTERRUPTED, "interrupted: stopping")
             session.stop()
             return FAILED
         return REACHED

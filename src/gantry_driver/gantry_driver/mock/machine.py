@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from gantry_driver.mock.firmware.board import Board
+from gantry_driver.mock.firmware.board import FirmwareBoard
 from gantry_driver.mock.firmware.options import BoardOptions
 from gantry_driver.mock.mechanics import Mechanics, MechanicsOptions
 from gantry_driver.mock.serial_line import AnswerFault, Damage, Inbound, Outbound
@@ -72,7 +72,7 @@ def _switch(arguments: Mapping[str, Any], name: str = "on") -> bool:
     return value
 
 
-class Machine:
+class MockMachine:
     """The board, its mechanics, and their possible faults."""
 
     def __init__(
@@ -85,7 +85,7 @@ class Machine:
     ) -> None:
         self.rng = random.Random(seed)
         self.mechanics = Mechanics.build(eeprom, mechanics or MechanicsOptions(), self.rng)
-        self.board = Board(eeprom, self.mechanics, self.rng, board or BoardOptions())
+        self.board = FirmwareBoard(eeprom, self.mechanics, self.rng, board or BoardOptions())
 
     def truth(self) -> dict[str, Any]:
         """Return the true positions of the motors and the states of the tool pins."""
@@ -184,25 +184,25 @@ class Machine:
         self.mechanics.probe_z_mm = None if arguments.get("z_mm") is None else _mm(arguments, "z_mm")
 
 
-FAULTS: dict[str, Callable[[Machine, Mapping[str, Any]], PortFault | None]] = {
-    "unplug": Machine._unplug,
-    "stop_reading": Machine._stop_reading,
-    "brown_out": Machine._brown_out,
-    "soft_reset": Machine._soft_reset,
-    "hang": Machine._hang,
-    "error": Machine._error,
-    "garbage": Machine._garbage,
-    "stray_ok": Machine._stray_ok,
-    "answers": Machine._answers,
-    "damage": Machine._damage,
-    "alarm": Machine._alarm,
-    "eeprom_pause": Machine._eeprom_pause,
-    "limit": Machine._limit,
-    "broken_switch": Machine._broken_switch,
-    "stop_button": Machine._stop_button,
-    "door": Machine._door,
-    "lost_steps": Machine._lost_steps,
-    "probe_surface": Machine._probe_surface,
+FAULTS: dict[str, Callable[[MockMachine, Mapping[str, Any]], PortFault | None]] = {
+    "unplug": MockMachine._unplug,
+    "stop_reading": MockMachine._stop_reading,
+    "brown_out": MockMachine._brown_out,
+    "soft_reset": MockMachine._soft_reset,
+    "hang": MockMachine._hang,
+    "error": MockMachine._error,
+    "garbage": MockMachine._garbage,
+    "stray_ok": MockMachine._stray_ok,
+    "answers": MockMachine._answers,
+    "damage": MockMachine._damage,
+    "alarm": MockMachine._alarm,
+    "eeprom_pause": MockMachine._eeprom_pause,
+    "limit": MockMachine._limit,
+    "broken_switch": MockMachine._broken_switch,
+    "stop_button": MockMachine._stop_button,
+    "door": MockMachine._door,
+    "lost_steps": MockMachine._lost_steps,
+    "probe_surface": MockMachine._probe_surface,
 }
 """Faults by name.
 

@@ -14,7 +14,7 @@ from pathlib import Path
 from types import FrameType
 
 from gantry_driver.mock.firmware.options import RX_BYTES, BoardOptions
-from gantry_driver.mock.machine import MAX_MM, Machine
+from gantry_driver.mock.machine import MAX_MM, MockMachine
 from gantry_driver.mock.mechanics import MechanicsOptions
 from gantry_driver.mock.service import Service
 from gantry_driver.mock.settings import SettingsError, make_eeprom, parse_assignment, read_settings_file
@@ -112,7 +112,7 @@ def _run(options: argparse.Namespace) -> int:
             assignments = read_settings_file(options.settings) if options.settings else {}
             assignments.update(parse_assignment(text) for text in options.set)
             mechanics = MechanicsOptions() if options.start is None else MechanicsOptions(start_mm=options.start)
-            machine = Machine(
+            machine = MockMachine(
                 make_eeprom(assignments),
                 board=BoardOptions(
                     baud=options.baud,

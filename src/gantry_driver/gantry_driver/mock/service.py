@@ -29,7 +29,7 @@ from typing import Any, TextIO
 
 from gantry_driver.mock.journal import Entry
 from gantry_driver.mock.line_socket import LineServer
-from gantry_driver.mock.machine import FaultError, Machine, PortFault
+from gantry_driver.mock.machine import FaultError, MockMachine, PortFault
 from gantry_driver.mock.pty_port import OPEN_POLL_S, PtyPort
 
 TRUTH_MOVING_S, TRUTH_REST_S = 0.005, 0.05
@@ -43,7 +43,7 @@ class Service:
 
     def __init__(
         self,
-        machine: Machine,
+        machine: MockMachine,
         *,
         link: Path | None = None,
         time_scale: float = 1.0,

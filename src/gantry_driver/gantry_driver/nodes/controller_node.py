@@ -183,7 +183,7 @@ class ControllerNode(GraphNode):
             self._sources.look("heartbeat")
         stamp = stamp_ns(message.stamp)
         # As in the driver, a heartbeat without a stamp, or with one from the future, counts as new.
-        return msg.Heartbeat(age_ns=max(0, self._now_ns() - stamp) if stamp else 0)
+        return msg.OperatorHeartbeat(age_ns=max(0, self._now_ns() - stamp) if stamp else 0)
 
     def _see(self, message_type: Any, topic: str, profile: Any, convert: Callable[[Any], msg.Event]) -> None:
         """Subscribe to results of images; ignore stamps in the future, which would count as recent for too long."""
@@ -250,7 +250,7 @@ class ControllerNode(GraphNode):
                             self._report_delay, Message("text.and_also", first=action.delay.text(), second=action.then)
                         )
                     )
-                case msg.SetState():
+                case msg.PublishState():
                     self._diagnose()  # before the text, whose code other programs look for there
                     self._state.publish(String(data=action.text))
                 case msg.ShowTarget():

@@ -14,12 +14,12 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticArray
 from std_msgs.msg import Empty, String
 
-from gantry_driver.core.goals.sequence import Action, SendCommand, SequenceConfig, SequenceRun, StopMachine
+from gantry_driver.core.goals.sequence import Action, SendStepCommand, SequenceConfig, SequenceRun, StopMachine
 from gantry_driver.core.job.goal_job import WORKING
 from icu_common.adapters.real_time import steady_s
 from icu_common.core.configuration.text_bounds import plain
 from icu_common.core.goals.results import GoalResult, Outcome
-from icu_common.core.goals.sequence import Sequence, SequenceError, parse_file, unfit
+from icu_common.core.goals.sequence import GestureSequence, SequenceError, parse_file, unfit
 from icu_common.core.reasons.codes import CODE, MAX_REPORTS, NOT_OPERABLE
 from icu_common.core.reasons.message import Message, quoted
 from icu_common.core.reasons.state_text import because, state_name
@@ -119,7 +119,7 @@ class SequenceNode(GraphNode):
         self._run = SequenceRun(sequence, run_id, self._live.config)
         self._act(self._run.start(self._now_ns()))
 
-    def _check(self, sequence: Sequence) -> None:
+    def _check(self, sequence: GestureSequence) -> None:
         """Raise SequenceError for a step that the panel, as seen so far, can never fulfil."""
         if self._panel is None:
             return
@@ -197,7 +197,7 @@ class SequenceNode(GraphNode):
 
     def _act(self, actions: list[Action]) -> None:
         for action in actions:
-            if isinstance(action, SendCommand):
+            if isinstance(action, SendStepCommand):
                 self._command.publish(String(data=action.text))
             elif isinstance(action, StopMachine):
                 self.get_logger().error("stop: nobody is known to be at work on a step")

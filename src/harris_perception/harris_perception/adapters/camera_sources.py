@@ -32,11 +32,11 @@ from harris_perception.adapters.v4l2_source import V4l2Source
 from icu_common.adapters.frame_link import FrameClient
 from icu_common.core.configuration.config import WALL_TIME, Config, ConfigError, nested, setting
 
-__all__ = ["CameraConfig", "CameraSource", "Frames", "Picture", "SourceEnded", "SourceError", "V4l2Source"]
+__all__ = ["CameraNodeConfig", "CameraSource", "Frames", "Picture", "SourceEnded", "SourceError", "V4l2Source"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class CameraConfig(Config):
+class CameraNodeConfig(Config):
     """Settings of the camera node."""
 
     source: str = setting(
@@ -248,7 +248,7 @@ def _videos(places: Sequence[str], rate_hz: float, **options: Any) -> RecordedSo
     return RecordedSource(lambda: [_read_video(_open_video(place)) for place in places], rate_hz=rate_hz, **options)
 
 
-def require_settings(config: CameraConfig) -> None:
+def require_settings(config: CameraNodeConfig) -> None:
     """Reject a configuration whose source has no path, device or socket.
 
     Raises
@@ -264,7 +264,7 @@ def require_settings(config: CameraConfig) -> None:
         raise ConfigError(f"fourcc = {config.fourcc!r}; expected four characters")
 
 
-def open_source(config: CameraConfig, *, now_ns: Clock, stop: threading.Event) -> CameraSource:
+def open_source(config: CameraNodeConfig, *, now_ns: Clock, stop: threading.Event) -> CameraSource:
     """Open the configured source.
 
     Raises

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from harris_perception.core.evaluation.repeatability import Pair
+from harris_perception.core.evaluation.repeatability import HomographyPair
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".ppm", ".pgm", ".tif", ".tiff", ".webp")
 """Suffixes, in lower case, of the files in a folder that are read as images."""
@@ -141,7 +141,7 @@ _HPATCHES = {"i_": "HPatches light", "v_": "HPatches viewpoint"}
 
 
 @dataclass(frozen=True, slots=True)
-class Sequence:
+class ImageSequence:
     """Images of one plane: kind of change, first image, and by number the others with second_from_first (3, 3)."""
 
     change: str
@@ -149,14 +149,14 @@ class Sequence:
     others: dict[int, Path]
     homographies: dict[int, npt.NDArray[np.float64]]
 
-    def pairs(self) -> Iterator[Pair]:
+    def pairs(self) -> Iterator[HomographyPair]:
         """Read the pairs 1-2 to 1-n, which share the first image; the amount of change is the second image's number."""
         first = read_gray(self.first)
         for number, path in self.others.items():
-            yield Pair(self.change, float(number), first, read_gray(path), self.homographies[number])
+            yield HomographyPair(self.change, float(number), first, read_gray(path), self.homographies[number])
 
 
-def sequences(folder: Path) -> Iterator[Sequence]:
+def sequences(folder: Path) -> Iterator[ImageSequence]:
     """Yield the sequences below a folder: img1.., H1to2p.. (also .txt, .xml), or as HPatches 1.., H_1_2...
 
     The kind of change is the sequence's name; for HPatches it is light (i_...) or viewpoint (v_...).
@@ -180,7 +180,9 @@ def sequences(folder: Path) -> Iterator[Sequence]:
             name = place.resolve().name.encode(errors="backslashreplace").decode()  # the name need not be UTF-8
             change = name if prefix else _HPATCHES.get(name[:2], name)
             homographies = {number: _homography(known[number]) for number in sorted(known)}
-            yield Sequence(change, pictures[1], {number: pictures[number] for number in homographies}, homographies)
+            yield ImageSequence(
+                change, pictures[1], {number: pictures[number] for number in homographies}, homographies
+            )
 
 
 def _numbered(form: str, files: dict[str, Path]) -> dict[int, Path]:

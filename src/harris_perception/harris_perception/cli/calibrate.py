@@ -17,7 +17,7 @@ import yaml
 from harris_perception.adapters.camera_sources import SourceError, picture_files
 from harris_perception.adapters.picture_files import read_sensor_gray, write_picture
 from harris_perception.cli.marker_sheets import add_markers
-from harris_perception.core.cameras.board import Board, board_pdf, board_svg
+from harris_perception.core.cameras.board import CalibrationBoard, board_pdf, board_svg
 from harris_perception.core.cameras.board_detection import BoardDetector, BoardView, size_shown
 from harris_perception.core.cameras.calibration_config import INTRINSICS, CalibrationConfig
 from harris_perception.core.cameras.camera_calibration import CameraCalibration, calibrate_camera
@@ -48,11 +48,11 @@ def _camera_name(text: str) -> str:
     return text
 
 
-def _board(options: argparse.Namespace) -> Board:
+def _board(options: argparse.Namespace) -> CalibrationBoard:
     kind = "charuco" if options.charuco else "chessboard"
     columns, rows = options.charuco or options.chessboard
     marker_mm = options.marker_mm if options.marker_mm is not None else 0.72 * options.square_mm
-    return Board(
+    return CalibrationBoard(
         kind=kind,
         columns=columns,
         rows=rows,
@@ -79,7 +79,7 @@ def _telling() -> Iterator[Say]:
         print("".join(f"{line}\n" for line in lines), end="")
 
 
-def _detect_all(board: Board, files: Sequence[Path], what: str) -> list[BoardView | None]:
+def _detect_all(board: CalibrationBoard, files: Sequence[Path], what: str) -> list[BoardView | None]:
     """Search for the board in every file, with a progress bar on standard error if that is a terminal."""
     shown, detector = sys.stderr.isatty(), BoardDetector(board)
     views = []
@@ -93,7 +93,7 @@ def _detect_all(board: Board, files: Sequence[Path], what: str) -> list[BoardVie
     return views
 
 
-def _require_some(board: Board, files: Sequence[Path], views: Sequence[BoardView | None], say: Say) -> None:
+def _require_some(board: CalibrationBoard, files: Sequence[Path], views: Sequence[BoardView | None], say: Say) -> None:
     """Report the files without the board; raise an error if all lack it, with a matching board size if there is one."""
     lost = [file.name for file, view in zip(files, views) if view is None]
     if len(lost) < len(files):
@@ -140,7 +140,7 @@ def _paired(left: Sequence[Path], right: Sequence[Path], say: Say) -> list[tuple
     return pairs
 
 
-def _say_coverage(board: Board, views: Sequence[BoardView], say: Say) -> None:
+def _say_coverage(board: CalibrationBoard, views: Sequence[BoardView], say: Say) -> None:
     say("coverage   from    to")
     for reach in coverage(board, views):
         say(f"  {reach.name:<6} {reach.low:6.2f} {reach.high:6.2f}  {reach.missing or 'enough'}")
@@ -180,7 +180,9 @@ def _views_report(views: Sequence[ViewError]) -> list[dict[str, Any]]:
     return [{"name": v.name, "corners": v.corners, "rms_px": v.rms_px, "outlier": v.outlier} for v in views]
 
 
-def _report(board: Board, result: CameraCalibration | PairCalibration, views: Sequence[BoardView]) -> dict[str, Any]:
+def _report(
+    board: CalibrationBoard, result: CameraCalibration | PairCalibration, views: Sequence[BoardView]
+) -> dict[str, Any]:
     reaches = coverage(board, views)
     report: dict[str, Any] = {
         "board": board.title,
@@ -208,7 +210,9 @@ def _finish(folder: Path, report: dict[str, Any], written: Sequence[Path], say: 
     say("written: " + ", ".join(str(p) for p in (*written, path)))
 
 
-def _capture(options: argparse.Namespace, board: Board, topics: Sequence[str], folders: Sequence[Path]) -> None:
+def _capture(
+    options: argparse.Namespace, board: CalibrationBoard, topics: Sequence[str], folders: Sequence[Path]
+) -> None:
     """Fill the folders from live topics."""
     # Imported only here, so that everything else runs without ROS.
     from harris_perception.nodes.calibration_capture import capture
@@ -302,7 +306,7 @@ def stereo(options: argparse.Namespace) -> int:
 
 
 def _add_board(parser: argparse.ArgumentParser) -> None:
-    choices = {item.name: item.setting.choices for item in settings_of(Board)}["dictionary"]
+    choices = {item.name: item.setting.choices for item in settings_of(CalibrationBoard)}["dictionary"]
     which = parser.add_mutually_exclusive_group()
     size: dict[str, Any] = {"type": _columns_by_rows, "metavar": "COLUMNSxROWS"}
     which.add_argument("--chessboard", default=(9, 6), help="inner corners (default 9x6)", **size)

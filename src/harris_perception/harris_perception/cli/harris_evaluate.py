@@ -28,7 +28,7 @@ from harris_perception.core.evaluation.repeatability import (
     EPSILONS_PX,
     WARPS,
     Detect,
-    Pair,
+    HomographyPair,
     Points,
     best_on_average,
     means,
@@ -77,7 +77,7 @@ class _Group:
     """A group of pairs: their number, and the iterator that reads or makes them (many do not fit into memory)."""
 
     count: int
-    pairs: Callable[[], Iterator[Pair]]
+    pairs: Callable[[], Iterator[HomographyPair]]
 
 
 def _groups(sources: Iterable[Path], options: argparse.Namespace) -> Iterator[_Group]:
@@ -102,7 +102,7 @@ def _groups(sources: Iterable[Path], options: argparse.Namespace) -> Iterator[_G
             yield _Group(sum(map(len, WARPS.values())), partial(_warps, photograph, options.seed))
 
 
-def _warps(photograph: Path, seed: int) -> Iterator[Pair]:
+def _warps(photograph: Path, seed: int) -> Iterator[HomographyPair]:
     return warps(_to_be_warped(photograph), np.random.default_rng(seed))
 
 
@@ -115,7 +115,7 @@ def _to_be_warped(path: Path) -> npt.NDArray[np.uint8]:
 
 
 def _found(
-    detectors: Mapping[str, Detect], pair: Pair, options: argparse.Namespace, known: dict[str, Points]
+    detectors: Mapping[str, Detect], pair: HomographyPair, options: argparse.Namespace, known: dict[str, Points]
 ) -> Iterator[tuple[str, Points, Points]]:
     """Yield each detector's points in both images of a pair; ``known`` are those in the first, if known."""
     first = known or {name: find(pair.first, options.count) for name, find in detectors.items()}

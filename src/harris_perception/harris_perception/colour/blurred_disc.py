@@ -19,7 +19,8 @@ Array = npt.NDArray[Any]
 
 REACH = 3.0
 """Radii that the tables cover; farther out the disc is invisible."""
-_STEP = 0.05
+STEP = 0.05
+"""Distance between two columns of a table, in radii."""
 _BLUR_STEP = 0.02
 _LEAST_BLUR, _LARGEST_BLUR = 0.1, 0.8
 _RINGS, _SPOKES = 24, 48
@@ -27,7 +28,7 @@ _RINGS, _SPOKES = 24, 48
 
 @functools.cache
 def _table(index: int) -> Array:
-    """Return (3, M) profiles of the constant, the linear and the dome term at multiples of ``_STEP`` radii."""
+    """Return (3, M) profiles of the constant, the linear and the dome term at multiples of ``STEP`` radii."""
     blur = index * _BLUR_STEP
     # Gauss-Legendre along the radius, equal angles around; the integrands are smooth except at the rim, where the dome
     # ends.
@@ -37,25 +38,18 @@ def _table(index: int) -> Array:
     x, y = (radius[:, None] * np.cos(angle)).ravel(), (radius[:, None] * np.sin(angle)).ravel()
     area = np.repeat(radius * share * 2 * np.pi / _SPOKES, _SPOKES)
     terms = np.stack([np.ones_like(x), x, np.sqrt(np.maximum(1.0 - x**2 - y**2, 0.0))]) * area
-    at = np.arange(0.0, REACH + 2 * _STEP, _STEP)
+    at = np.arange(0.0, REACH + 2 * STEP, STEP)
     kernel = np.exp(-0.5 * ((at[:, None] - x) ** 2 + y**2) / blur**2) / (2 * np.pi * blur**2)
     return np.asarray(terms @ kernel.T)
 
 
-def profiles(distance: Array, blur: float) -> tuple[Array, Array, Array]:
-    """Return the profiles at distances (N,), and their derivatives by the distance and by the blur, each (3, N).
+def profile_tables(blur: float) -> tuple[Array, Array]:
+    """Return the table of the profiles at one blur, and its derivative by the blur, each (3, M).
 
-    Distances and the blur's standard deviation are in radii of the disc.
+    Column k is for the distance ``k * STEP``. Distances and the blur's standard deviation are in radii of the disc.
     """
     level = min(max(blur, _LEAST_BLUR), _LARGEST_BLUR - 1e-6) / _BLUR_STEP
     low = int(level)
     part = level - low
-    tables = np.stack([_table(low), _table(low + 1)])
-    table = (1 - part) * tables[0] + part * tables[1]
-    place = np.minimum(distance, REACH) / _STEP
-    cell = place.astype(np.intp)
-    share = place - cell
-    a, b = table[:, cell], table[:, cell + 1]
-    difference = (tables[1] - tables[0]) / _BLUR_STEP
-    by_blur = (1 - share) * difference[:, cell] + share * difference[:, cell + 1]
-    return (1 - share) * a + share * b, (b - a) / _STEP, by_blur
+    lower, upper = _table(low), _table(low + 1)
+    return (1 - part) * lower + part * upper, (upper - lower) / _BLUR_STEP

@@ -14,7 +14,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from harris_perception.colour.blurred_disc import profiles
+from harris_perception.colour.blurred_disc import profile_tables
+from harris_perception.colour.disc_kernels import BACKGROUND, SHADING, disc_equations, weighted_sums
+from harris_perception.core.image.medians import median
 
 Array = npt.NDArray[Any]
 
@@ -104,48 +106,39 @@ def fit_soft(
     errors: list[Array] = [np.zeros(0)] * count
     weights: list[Array] = [np.zeros(0)] * count
     size = 3 + count + 4 + count + count
+    # Each channel's unknowns; the gain of the first channel is 1.
+    columns = [[0, 1, 2, 3 + i, *range(3 + count, 7 + count), 7 + count + i] for i in range(count)]
+    for i in range(1, count):
+        columns[i].append(7 + 2 * count + i)
+    blocks = [np.ix_(own, own) for own in columns]
+    pixels = [(np.ascontiguousarray(at[c.use]), c.values[c.use], c.around[c.use]) for c in channels]
     for turn in range(_TURNS):
         normal, known = np.zeros((size, size)), np.zeros(size)
         _expect(normal, known, 2, radius - disc[2], radius_share * radius)
         for i, c in enumerate(channels):
-            offset = at[c.use] - disc[:2]
-            distance = np.maximum(np.hypot(*offset.T), 1e-6)
-            toward = offset / distance[:, None]
-            r, blur = disc[2], blurs[i]
-            (flat, tilt, dome), slopes, by = profiles(distance / r, blur / r)
-            terms = np.column_stack([flat, toward * tilt[:, None], dome])
-            value, around = c.values[c.use], c.around[c.use]
-            behind = around * (1 - flat)
+            used, value, around = pixels[i]
+            tables = profile_tables(blurs[i] / disc[2])
             if turn == 0:
-                basis = np.column_stack([terms, 1 - flat])
-                first = np.linalg.lstsq(basis, value - behind, rcond=1e-3)[0]
+                start, _ = disc_equations(used, value, around, *tables, disc, blurs[i], shape, 1.0, 0.0)
+                terms, outside = start[:, SHADING:BACKGROUND], start[:, BACKGROUND]
+                basis = np.column_stack([terms, outside])
+                first = np.linalg.lstsq(basis, value - around * outside, rcond=1e-3)[0]
                 if i == 0:
-                    shape, rests[0] = np.asarray(first[:4]), first[4]
+                    shape, rests[0] = np.array(first[:4]), first[4]
                 else:
                     gains[i] = float(terms @ first[:4] @ (terms @ shape)) / max(
                         float(np.sum((terms @ shape) ** 2)), 1.0
                     )
-            b = gains[i] * shape
-            error = value - behind - terms @ b - rests[i] * (1 - flat)
+            joint, errors[i] = disc_equations(
+                used, value, around, *tables, disc, blurs[i], shape, float(gains[i]), float(rests[i])
+            )
             if turn < _SCALE_TURNS:
-                noises[i] = max(1.48 * float(np.median(np.abs(error))), c.noise)
-            weight = np.clip(1 - (error / (_TUKEY * noises[i])) ** 2, 0, None) ** 2
-            errors[i], weights[i] = error, weight
-            lean, gain = toward @ b[1:3], b[0] - around - rests[i]
-            outward = (slopes[0] * gain + slopes[1] * lean + slopes[2] * b[3]) / r
-            across = (b[1:3] - lean[:, None] * toward) * (tilt / distance)[:, None]
-            by_blur = (by[0] * gain + by[1] * lean + by[2] * b[3]) / r
-            by_radius = -outward * distance / r - by_blur * blur / r
-            parts = [-toward * outward[:, None] - across, by_radius, by_blur, gains[i] * terms, 1 - flat]
-            columns = [0, 1, 2, 3 + i, *range(3 + count, 7 + count), 7 + count + i]
-            if i:
-                parts.append(terms @ shape)
-                columns.append(7 + 2 * count + i)
-            joint = np.column_stack(parts)
-            weighted = joint * weight[:, None] / noises[i] ** 2
-            normal[np.ix_(columns, columns)] += weighted.T @ joint
-            known[columns] += weighted.T @ error
-            _expect(normal, known, 3 + i, c.blur_px - blur, c.blur_sigma_px)
+                noises[i] = max(1.48 * median(np.abs(errors[i])), c.noise)
+            part, right_side, weights[i] = weighted_sums(joint, errors[i], _TUKEY * noises[i], noises[i])
+            fitted = len(columns[i])
+            normal[blocks[i]] += part[:fitted, :fitted]
+            known[columns[i]] += right_side[:fitted]
+            _expect(normal, known, 3 + i, c.blur_px - blurs[i], c.blur_sigma_px)
             _expect(normal, known, 7 + count + i, -rests[i], 1e3 * levels[i])
         # Shading cannot be stronger than the ball's brightness.
         for k in range(1, 4):
@@ -174,3 +167,18 @@ def _expect(normal: Array, known: Array, index: int, missing: float, sigma: floa
     """Add the observation that the unknown ``index`` differs from its expected value by ``missing``."""
     normal[index, index] += 1 / sigma**2
     known[index] += missing / sigma**2
+
+
+def warm() -> None:
+    """Compile the code that a fit needs, or load it from the cache, so that the first image is not late."""
+    at = np.stack(np.meshgrid(np.arange(-5.0, 6.0), np.arange(-5.0, 6.0)), axis=-1).reshape(-1, 2)
+    inside = np.hypot(*at.T) < 3.0
+    channel = Channel(
+        values=100.0 * inside,
+        around=np.zeros(len(at)),
+        use=np.hypot(*at.T) < 5.0,
+        blur_px=0.6,
+        blur_sigma_px=0.15,
+        noise=6.0,
+    )
+    fit_soft(at, [channel, channel], np.zeros(2), 3.0)

@@ -15,7 +15,7 @@ from sensor_msgs.msg import Image
 from std_msgs.msg import String
 
 from harris_perception.adapters.picture_files import write_picture
-from harris_perception.core.cameras.board import Board
+from harris_perception.core.cameras.board import CalibrationBoard
 from harris_perception.core.cameras.board_detection import BoardDetector
 from harris_perception.core.cameras.view_collection import ViewCollection
 from harris_perception.core.image.gray import eight_bits, gray_of
@@ -121,7 +121,7 @@ class CalibrationCaptureNode(GraphNode):
 
 
 def capture(
-    board: Board,
+    board: CalibrationBoard,
     topics: Sequence[str],
     folders: Sequence[Path],
     *,

@@ -16,7 +16,7 @@ from sensor_msgs.msg import CameraInfo, Image
 
 from harris_perception.adapters.camera_controls import ControlFinding
 from harris_perception.adapters.camera_sources import (
-    CameraConfig,
+    CameraNodeConfig,
     CameraSource,
     Frames,
     Picture,
@@ -86,7 +86,7 @@ def _load(side: str, calibration: str) -> CameraModel | None:
         raise ConfigError(f"{which}: {error}") from error
 
 
-def _waits(config: CameraConfig) -> dict[str, float]:
+def _waits(config: CameraNodeConfig) -> dict[str, float]:
     names = ("read_timeout_s", "retry_min_s", "retry_max_s")
     return {name: getattr(config, name) for name in names}
 
@@ -96,7 +96,7 @@ class CameraNode(GraphNode):
 
     def __init__(self, **options: Any) -> None:
         super().__init__("camera", **options)
-        config = LiveParameters(self, CameraConfig, self._on_config).config
+        config = LiveParameters(self, CameraNodeConfig, self._on_config).config
         require_settings(config)
         self._source = config.source
         self._quiet_after_s = max(1.0, 2.0 / config.rate_hz if config.rate_hz else 0.0)
@@ -134,7 +134,7 @@ class CameraNode(GraphNode):
                 self.get_logger().warning(finding.text)
         return source
 
-    def _on_config(self, config: CameraConfig) -> None:
+    def _on_config(self, config: CameraNodeConfig) -> None:
         self._capture.set_waits(**_waits(config))
 
     def _on_failure(self, text: str) -> None:

@@ -15,19 +15,19 @@ from std_srvs.srv import Trigger
 from visualization_msgs.msg import MarkerArray
 
 from harris_perception.core.hand_eye.calibration_file import CalibrationFileError, load, save
-from harris_perception.core.hand_eye_procedure.calibration_run import SendGoal
+from harris_perception.core.hand_eye_procedure.calibration_run import SendCalibrationGoal
 from harris_perception.core.hand_eye_procedure.calibrator import Calibrator
 from harris_perception.core.hand_eye_procedure.calibrator_actions import (
     Action,
     Keep,
-    Note,
-    Refused,
+    LogNote,
     SetAxes,
     SetPose,
     SetSigma,
     SetState,
 )
 from harris_perception.core.hand_eye_procedure.calibrator_config import CalibratorConfig
+from harris_perception.core.hand_eye_procedure.conditions import CalibrationRefused
 from harris_perception.core.pose.planar_pose import FACE_POINT_COLUMNS, FacePoints
 from icu_common.core.configuration.text_bounds import plain
 from icu_common.core.geometry.frames import BASE, CAMERA_LEFT, JOINTS
@@ -224,7 +224,7 @@ class HandEyeNode(GraphNode):
     def _act(self, actions: Iterable[Action]) -> None:
         for action in actions:
             match action:
-                case SendGoal():
+                case SendCalibrationGoal():
                     self._goal.publish(point_message(action.xyz, header(action.stamp_ns, BASE)))
                 case SetState():
                     values = code_values(self._topic, {})
@@ -239,21 +239,21 @@ class HandEyeNode(GraphNode):
                     self._transform.publish(transform_message(action.camera_from_base, head, BASE))
                 case Keep():
                     self._keep()
-                case Note(level="error"):  # rclpy requires a separate line of code for each level
+                case LogNote(level="error"):  # rclpy requires a separate line of code for each level
                     self.get_logger().error(action.text)
-                case Note(level="warn"):
+                case LogNote(level="warn"):
                     self.get_logger().warning(action.text)
-                case Note():
+                case LogNote():
                     self.get_logger().info(action.text)
 
     def _keep(self) -> None:
         if self._live.config.calibration_file:
             try:
                 self._save()
-            except Refused as error:
+            except CalibrationRefused as error:
                 self.get_logger().error(str(error))
 
-    # Services: each returns its result as text, or raises Refused.
+    # Services: each returns its result as text, or raises CalibrationRefused.
 
     def _run(self) -> str:
         self._act(self.calibrator.run(self._now_ns()))
@@ -266,13 +266,13 @@ class HandEyeNode(GraphNode):
     def _save(self) -> str:
         path = self._live.config.calibration_file
         if not path:
-            raise Refused(Message("calibration.calibration_file_not_set"))
+            raise CalibrationRefused(Message("calibration.calibration_file_not_set"))
         if self.calibrator.stored is None:
-            raise Refused(Message("calibration.no_calibration_save"))
+            raise CalibrationRefused(Message("calibration.no_calibration_save"))
         try:
             save(self.calibrator.stored, Path(path))
         except OSError as error:
-            raise Refused(Message("calibration.calibration_could_not_saved", error=error)) from error
+            raise CalibrationRefused(Message("calibration.calibration_could_not_saved", error=error)) from error
         return Message("calibration.saved", path=path)
 
     def _report(self) -> None:
@@ -285,7 +285,7 @@ def _answered(call: Callable[[], str]) -> Callable[[Trigger.Request, Trigger.Res
     def answer(request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         try:
             response.message, response.success = answer_text(call()), True
-        except Refused as refusal:
+        except CalibrationRefused as refusal:
             response.message, response.success = answer_text(str(refusal)), False
         return response
 

@@ -16,7 +16,7 @@ from std_msgs.msg import String
 
 from harris_perception.adapters.panel_files import how_to_start, write_panel
 from harris_perception.core.image.gray import bgr_of
-from harris_perception.core.recognition.panel_teaching import Request, TeachingError, parse_request, teach
+from harris_perception.core.recognition.panel_teaching import TeachingError, TeachingRequest, parse_request, teach
 from icu_common.core.geometry.camera_model import CameraModel
 from icu_common.core.goals.results import GoalResult, Outcome
 from icu_common.core.reasons.message import Message, quoted
@@ -46,7 +46,7 @@ class PanelTeacher:
         self._node, self._folder, self._camera = node, folder, camera
         self._worker = ThreadPoolExecutor(1, "teacher")
         self._picture: tuple[int, npt.NDArray[np.uint8]] | None = None
-        self._waiting: tuple[Request, float] | None = None
+        self._waiting: tuple[TeachingRequest, float] | None = None
         self._answers = node.create_publisher(DiagnosticArray, "teach/result", qos.RESULTS)
         node.create_subscription(Image, "teach/image_raw", self._on_picture, qos.RESULTS)
         node.create_subscription(String, "teach/request", self._on_request, qos.RESULTS)
@@ -95,7 +95,7 @@ class PanelTeacher:
         picture, self._picture = self._picture[1], None
         self._worker.submit(self._teach, request, picture, self._camera())
 
-    def _teach(self, request: Request, picture: npt.NDArray[np.uint8], camera: CameraModel | None) -> None:
+    def _teach(self, request: TeachingRequest, picture: npt.NDArray[np.uint8], camera: CameraModel | None) -> None:
         try:
             taught = teach(picture, request.lesson, camera)
             layout, template = write_panel(taught, Path(self._folder).expanduser(), "the operator's page")
@@ -111,7 +111,7 @@ class PanelTeacher:
         text = Message("teach.wrote", layout=layout, template=template)
         self._answer(request.goal_id, request.lesson.model, Outcome.REACHED, text, details)
 
-    def _refuse(self, request: Request, why: str) -> None:
+    def _refuse(self, request: TeachingRequest, why: str) -> None:
         self._answer(request.goal_id, request.lesson.model, Outcome.REJECTED, why)
 
     def _answer(

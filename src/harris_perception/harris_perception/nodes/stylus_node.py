@@ -11,12 +11,14 @@ import numpy.typing as npt
 from geometry_msgs.msg import PointStamped
 from std_msgs.msg import Header
 
+from harris_perception.colour.soft_fit import warm
 from harris_perception.core.image.gray import bgr_of, has_color
 from harris_perception.core.stylus.stylus import StylusTracker
-from harris_perception.core.stylus.stylus_config import StylusConfig
+from harris_perception.core.stylus.stylus_config import StylusSearchConfig
 from harris_perception.nodes.alignment.panel_check import PanelCheck
+from harris_perception.nodes.compiling import compiling
 from harris_perception.nodes.stereo_calibration import StereoCalibration
-from harris_perception.pairing.free_pairs import FreePairs, Pair
+from harris_perception.pairing.free_pairs import FreePairs, ImagePair
 from harris_perception.pairing.free_tips import FreeTips
 from harris_perception.pairing.offset import Offset
 from harris_perception.pairing.report import pairing_report, pairing_values
@@ -40,7 +42,7 @@ class StylusNode(GraphNode):
 
     def __init__(self, **options: Any) -> None:
         super().__init__("stylus_tracker", **options)
-        self._live = LiveParameters(self, StylusConfig, self._configure)
+        self._live = LiveParameters(self, StylusSearchConfig, self._configure)
         self._calibration = StereoCalibration(self, lambda: self._configure(self._live.config))
         self._pairs = FreePairs(tolerance_ns=0)
         self._check = PanelCheck(self, self._live.config, self._correct)
@@ -60,7 +62,7 @@ class StylusNode(GraphNode):
             subscribe_to_images(self, f"{side}/image_raw", take, qos.PICTURES)
         every(self, 1.0, self._report)
 
-    def _configure(self, config: StylusConfig) -> None:
+    def _configure(self, config: StylusSearchConfig) -> None:
         self._pairs.tolerance_ns = round(config.pair_tolerance_s * 1e9)
         self._pairs.free_running = config.free_running
         self._pairs.right_late_ns = 0
@@ -89,7 +91,7 @@ class StylusNode(GraphNode):
         if pair is not None and self._tips is not None:
             self._look(self._tips, pair)
 
-    def _look(self, tips: FreeTips, pair: Pair) -> None:
+    def _look(self, tips: FreeTips, pair: ImagePair) -> None:
         self._apart = pair.apart
         images: tuple[npt.NDArray[np.uint8], npt.NDArray[np.uint8]] | None = None
         try:
@@ -144,6 +146,12 @@ def _color(image: ReceivedImage) -> npt.NDArray[np.uint8]:
     if not has_color(image.encoding):
         raise ValueError(f"encoding {image.encoding!r} has no color, by which the ball is found")
     return bgr_of(picture, image.encoding)
+
+
+def preload() -> None:
+    """Load the machine code of the fit; the server that forks programs does this once for all programs."""
+    with compiling(None):
+        warm()
 
 
 def main() -> int:

@@ -23,7 +23,7 @@ _STAMPS = 30
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Pair:
+class ImagePair:
     """A left and a right image with their stamps on the left camera's clock; ``apart``: not of the same instant."""
 
     left: Any
@@ -34,7 +34,7 @@ class Pair:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Phase:
+class CameraPhase:
     """Rates of two cameras and phase between them.
 
     Attributes
@@ -90,7 +90,7 @@ class FreePairs:
         """The tolerance; half of it after a pair that is apart: each switch between both kinds loses a left image."""
         return self.tolerance_ns // 2 if self._apart else self.tolerance_ns
 
-    def add(self, stream: int, stamp_ns: int, image: Any) -> Pair | None:
+    def add(self, stream: int, stamp_ns: int, image: Any) -> ImagePair | None:
         """Add an image of the left (0) or right (1) camera; return the pair that it completes."""
         stamps = self._stamps[stream]
         if stamps and stamp_ns < stamps[-1]:
@@ -115,7 +115,7 @@ class FreePairs:
             return self._left_behind() if self.free_running and self.runs_freely else None
         return None
 
-    def _left_behind(self) -> Pair | None:
+    def _left_behind(self) -> ImagePair | None:
         """Return the second newest left image with the right image after it, if that one is still kept."""
         lefts, rights = self._waiting
         if len(lefts) < 2:
@@ -136,24 +136,24 @@ class FreePairs:
         period_ns = _period(self._stamps[0])
         return right_ns - left_ns > period_ns - self._near_ns
 
-    def _taken(self, left_ns: int, right_ns: int, *, apart: bool) -> Pair:
+    def _taken(self, left_ns: int, right_ns: int, *, apart: bool) -> ImagePair:
         self._apart = apart
         lefts, rights = self._waiting
-        pair = Pair(left=lefts[left_ns], right=rights[right_ns], left_ns=left_ns, right_ns=right_ns, apart=apart)
+        pair = ImagePair(left=lefts[left_ns], right=rights[right_ns], left_ns=left_ns, right_ns=right_ns, apart=apart)
         for waiting, stamp in ((lefts, left_ns), (rights, right_ns)):
             for old in [s for s in waiting if s <= stamp]:
                 del waiting[old]
         return pair
 
-    def phase(self) -> Phase:
+    def phase(self) -> CameraPhase:
         """Return rates and phase from the stamps of the last second."""
         left, right = self._stamps
         if min(len(left), len(right)) < 3 or _period(left) <= 0:
-            return Phase()
+            return CameraPhase()
         period_ns = _period(left)
         # If a left image is lost, the next one is nearest: differences count modulo the period.
         nearest = [(stamp - left[-1] + period_ns / 2) % period_ns - period_ns / 2 for stamp in right]
-        return Phase(
+        return CameraPhase(
             left_period_s=period_ns * 1e-9,
             right_period_s=_period(right) * 1e-9,
             difference_s=median(nearest) * 1e-9,

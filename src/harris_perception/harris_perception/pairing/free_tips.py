@@ -11,7 +11,7 @@ import dataclasses
 from collections import deque
 from typing import Any, Protocol
 
-from harris_perception.pairing.free_pairs import Pair
+from harris_perception.pairing.free_pairs import ImagePair
 from harris_perception.pairing.offset import Offset, OffsetEstimator
 from harris_perception.pairing.search import Outline, Search
 from icu_common.core.geometry.camera_model import StereoModel
@@ -64,7 +64,7 @@ class FreeTips:
         self._rights.clear()
         self._lefts.clear()
 
-    def find(self, pair: Pair, left: Any, right: Any, right_late_ns: int = 0) -> Search:
+    def find(self, pair: ImagePair, left: Any, right: Any, right_late_ns: int = 0) -> Search:
         """Measure the tip at the left image's instant.
 
         Parameters

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from harris_perception.pairing.free_pairs import Phase
+from harris_perception.pairing.free_pairs import CameraPhase
 from harris_perception.pairing.offset import Offset
 from icu_common.core.reasons.message import Message
 
@@ -46,7 +46,7 @@ class PairingReport:
 
 
 def pairing_report(
-    phase: Phase, tolerance_s: float, *, paired: bool, interpolated: bool, free_running: bool
+    phase: CameraPhase, tolerance_s: float, *, paired: bool, interpolated: bool, free_running: bool
 ) -> PairingReport | None:
     """Return how the images of the last second were paired; None while that is unknown.
 
@@ -70,7 +70,7 @@ def pairing_report(
     return PairingReport(code=NO_PAIR, difference_s=phase.difference_s, tolerance_s=tolerance_s, parameter=name)
 
 
-def pairing_values(report: PairingReport | None, phase: Phase, offset: Offset) -> list[tuple[str, str]]:
+def pairing_values(report: PairingReport | None, phase: CameraPhase, offset: Offset) -> list[tuple[str, str]]:
     """Return the typed values of the diagnostics: names with units, numbers as text."""
     if report is None:
         return [("pairing", "unknown")]

@@ -9,7 +9,7 @@ import socket
 from pathlib import Path
 
 from icu_bringup.adapters.graph_names import hold
-from icu_bringup.core.startup.graph_description import GraphError
+from icu_bringup.core.startup.graph_description import GraphDescriptionError
 
 NEEDED_BYTES = 64 * 1024 * 1024
 """Free space for the log, the audit file and a calibration; recordings check for themselves."""
@@ -21,12 +21,12 @@ def check_space(folder: Path) -> None:
 
     Raises
     ------
-    GraphError
+    GraphDescriptionError
         With the folder, the free space and the option that names another folder.
     """
     free = shutil.disk_usage(folder).free
     if free < NEEDED_BYTES:
-        raise GraphError(
+        raise GraphDescriptionError(
             f"the disk of {folder} is full: {free >> 20} MB are free; expected {NEEDED_BYTES >> 20} MB; "
             "delete files there, or choose another folder: --state FOLDER"
         )
@@ -50,7 +50,7 @@ def free_port(host: str, port: int, *, may_choose: bool) -> int:
 
     Raises
     ------
-    GraphError
+    GraphDescriptionError
         If it is in use and no other may be chosen, with the option that sets another one.
     """
     candidates = range(port, min(port + _OTHER_PORTS, 65536) if may_choose else port + 1)
@@ -58,6 +58,6 @@ def free_port(host: str, port: int, *, may_choose: bool) -> int:
         if is_free(host, candidate) and hold(f"page/{candidate}"):
             return candidate
     other = next((p for p in range(port + 1, min(port + _OTHER_PORTS, 65536)) if is_free(host, p)), port + 1)
-    raise GraphError(
+    raise GraphDescriptionError(
         f"the page's port {port} is in use by another program; choose another one: --set ui_bridge.port={other}"
     )

@@ -6,7 +6,7 @@ import errno
 import os
 import socket
 
-from icu_bringup.core.startup.graph_description import GraphError
+from icu_bringup.core.startup.graph_description import GraphDescriptionError
 
 _LONGEST_NAME = 100
 """Maximum length in bytes of a Unix socket's name; the system's limit is 108."""
@@ -46,12 +46,12 @@ def hold_names(namespace: str) -> None:
 
     Raises
     ------
-    GraphError
+    GraphDescriptionError
         If another process holds them.
     """
     domain = os.environ.get("ROS_DOMAIN_ID") or "0"
     if not hold(f"{domain}/{namespace.strip('/')}"):
-        raise GraphError(
+        raise GraphDescriptionError(
             f"a graph of these names runs already in ROS domain {domain}: end it, "
             "or take another namespace or ROS_DOMAIN_ID"
         )
@@ -62,10 +62,10 @@ def hold_another_domain(namespace: str) -> str:
 
     Raises
     ------
-    GraphError
+    GraphDescriptionError
         If other processes hold the names in all of these domains.
     """
     for domain in OTHER_DOMAINS:
         if hold(f"{domain}/{namespace.strip('/')}"):
             return str(domain)
-    raise GraphError(f"graphs of these names run in ROS domains 0 to {OTHER_DOMAINS[-1]}: end one of them")
+    raise GraphDescriptionError(f"graphs of these names run in ROS domains 0 to {OTHER_DOMAINS[-1]}: end one of them")

@@ -38,7 +38,7 @@ from icu_bringup.adapters.check.replay import PROFILE, Replay, ReplayError, Topi
 from icu_bringup.core.check.comparison import Row, TopicMessages, compare, new_topic, unknown_fields
 from icu_bringup.core.check.expectation import Expectation, Run, from_yaml, to_yaml
 from icu_bringup.core.check.report import as_json, junit, junit_error, markdown, table, verdict
-from icu_bringup.core.startup.graph_description import GraphError, load_graph
+from icu_bringup.core.startup.graph_description import GraphDescriptionError, load_graph
 from icu_bringup.nodes.graph_topics import types_of
 from icu_common.adapters.configuration_folder import configuration_folder
 from icu_common.adapters.processes.program_end import end_signals, ends_quietly
@@ -113,7 +113,7 @@ def _every(text: str) -> tuple[str, int]:
 
 
 @dataclass(frozen=True, slots=True)
-class Job:
+class BagJob:
     """One bag and the files that belong to it."""
 
     bag: Path
@@ -126,7 +126,7 @@ class Job:
         return self.bag.name
 
 
-class Check:
+class BagCheck:
     """Replays one bag after the other."""
 
     def __init__(self, options: argparse.Namespace) -> None:
@@ -138,7 +138,7 @@ class Check:
         """End as soon as possible."""
         self._stop.set()
 
-    def run(self, job: Job) -> int:
+    def run(self, job: BagJob) -> int:
         """Check one bag, or make its expectation; return the exit code."""
         begun_s = time.monotonic()
         job.out.mkdir(parents=True, exist_ok=True)
@@ -148,7 +148,7 @@ class Check:
                     self._make(job, Path(temporary))
                     return AS_EXPECTED
                 return self._compare(job, Path(temporary), begun_s)
-        except (BagError, CheckError, GraphError, ReplayError, TimeoutError, ValueError, OSError) as error:
+        except (BagError, CheckError, GraphDescriptionError, ReplayError, TimeoutError, ValueError, OSError) as error:
             print(f"error: {job.name}: {error}", file=sys.stderr, flush=True)
             (job.out / "junit.xml").write_text(junit_error(job.name, str(error)), encoding="utf-8")
             (job.out / "summary.md").write_text(f"### ❌ {job.name}: could not run\n\n{error}\n", encoding="utf-8")
@@ -156,7 +156,7 @@ class Check:
 
     # --- making ------------------------------------------------------------------------------------------------------
 
-    def _make(self, job: Job, temporary: Path) -> None:
+    def _make(self, job: BagJob, temporary: Path) -> None:
         options = self.options
         old = _read_expectation(job.expect) if job.expect.exists() else None
         run = old.run if old is not None else Run()
@@ -187,7 +187,7 @@ class Check:
 
     # --- comparing ---------------------------------------------------------------------------------------------------
 
-    def _compare(self, job: Job, temporary: Path, begun_s: float) -> int:
+    def _compare(self, job: BagJob, temporary: Path, begun_s: float) -> int:
         expectation = _read_expectation(job.expect)
         expected = read_messages(job.expect.parent / expectation.messages, expectation.topics)
         if strange := unknown_fields(expectation, expected):
@@ -202,7 +202,7 @@ class Check:
 
     def _report(
         self,
-        job: Job,
+        job: BagJob,
         rows: Sequence[Row],
         expected: Mapping[str, TopicMessages],
         found: Mapping[str, TopicMessages],
@@ -225,13 +225,13 @@ class Check:
 
     # --- replaying ---------------------------------------------------------------------------------------------------
 
-    def _prepared(self, job: Job, run: Run, temporary: Path) -> Path:
+    def _prepared(self, job: BagJob, run: Run, temporary: Path) -> Path:
         bag = job.bag
         if is_ros1(bag):
             bag = next(iter(temporary.glob("*_ros2")), None) or converted(bag, temporary)
         return next(iter(temporary.glob("*_renamed")), None) or prepared(bag, run, temporary, job.expect.parent)
 
-    def _replay(self, job: Job, run: Run, folder: Path, compared: Sequence[str]) -> Path:
+    def _replay(self, job: BagJob, run: Run, folder: Path, compared: Sequence[str]) -> Path:
         """Replay the bag with a new graph; return the bag with the results."""
         bag = self._prepared(job, run, folder.parent)
         with BagReader(bag) as reader:  # before any program is started
@@ -315,7 +315,7 @@ _KEPT = ("nodes", "scope", "moving", "exclude", "topics", "every", "duration", "
 """Options that are read from the expectation."""
 
 
-def _jobs(options: argparse.Namespace) -> list[Job]:
+def _jobs(options: argparse.Namespace) -> list[BagJob]:
     given = [f"--{name.replace('_', '-')}" for name in _KEPT if getattr(options, name)]
     if given and not options.make:
         raise CheckError(f"{', '.join(given)}: the expectation has these; give them with --make")
@@ -327,7 +327,7 @@ def _jobs(options: argparse.Namespace) -> list[Job]:
         # An expectation stands for its bag: bags/*.expect.yaml selects all bags that can be checked.
         bag = bag.with_name(bag.name.removesuffix(EXPECTATION)).resolve()
         expect = options.expect or bag.with_name(bag.name + EXPECTATION)
-        jobs.append(Job(bag=bag, expect=expect.resolve(), out=(out if len(options.bags) == 1 else out / bag.name)))
+        jobs.append(BagJob(bag=bag, expect=expect.resolve(), out=(out if len(options.bags) == 1 else out / bag.name)))
     return jobs
 
 
@@ -338,7 +338,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         check_bounds(options, runs=(2, 20), jobs=(1, 32), duration=(0, math.inf))
         jobs = _jobs(options)
-        check = Check(options)
+        check = BagCheck(options)
     except (CheckError, FileNotFoundError, ValueError) as error:
         print(f"error: {error}", file=sys.stderr)
         return COULD_NOT_RUN

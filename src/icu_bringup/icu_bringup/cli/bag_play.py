@@ -31,7 +31,7 @@ from icu_common.adapters.processes.program_end import ends_quietly
 from icu_common.adapters.steps.step_ledger import LEDGER_VARIABLE, ledger_path
 from icu_common.adapters.terminal_keys import terminal_keys
 from icu_common.core.configuration.option_bounds import check_bounds, named_path
-from icu_common.nodes.runtime import Session, ros_session
+from icu_common.nodes.runtime import RosSession, ros_session
 from icu_common.nodes.topic_names import name_problem
 
 
@@ -148,7 +148,9 @@ _DRIVER_FOUND_S, _LOOK_S = 1.0, 0.5
 class Playing:
     """One run of ``bag_play``, from the start to the exit code."""
 
-    def __init__(self, bag: BagReader, options: argparse.Namespace, session: Session, keys: Callable[[], str]) -> None:
+    def __init__(
+        self, bag: BagReader, options: argparse.Namespace, session: RosSession, keys: Callable[[], str]
+    ) -> None:
         self._bag, self._options, self._session, self._keys = bag, options, session, keys
         self.account = Account(options.allow_missing)
         self._topics = chosen(bag, options, self.account)

@@ -21,7 +21,7 @@ from icu_bringup.core.bag.account import INCOMPLETE, Account
 from icu_bringup.nodes.bag_recorder import BagRecorder
 from icu_common.adapters.processes.program_end import ends_quietly
 from icu_common.core.configuration.option_bounds import check_bounds, named_path
-from icu_common.nodes.runtime import Session, ros_session
+from icu_common.nodes.runtime import RosSession, ros_session
 from icu_common.nodes.topic_names import check_names
 
 _BEHIND_S = 5.0
@@ -156,7 +156,12 @@ def _check_pattern(exclude: str) -> None:
 
 
 def _record(
-    session: Session, sink: BagSink, path: Path, options: argparse.Namespace, arguments: Sequence[str], account: Account
+    session: RosSession,
+    sink: BagSink,
+    path: Path,
+    options: argparse.Namespace,
+    arguments: Sequence[str],
+    account: Account,
 ) -> None:
     line = ProgressLine()
     node = BagRecorder(sink, options.topics, options.exclude, arguments=arguments, account=account)

@@ -22,7 +22,13 @@ from icu_bringup.adapters.graph_names import hold_another_domain, hold_names
 from icu_bringup.adapters.run_log import RunLog
 from icu_bringup.adapters.screen import Screen, is_terminal
 from icu_bringup.cli.graph_run import GraphRun
-from icu_bringup.core.startup.graph_description import GraphError, Program, check_namespace, load_graph, simulators
+from icu_bringup.core.startup.graph_description import (
+    GraphDescriptionError,
+    Program,
+    check_namespace,
+    load_graph,
+    simulators,
+)
 from icu_common.adapters.configuration_folder import configuration_folder
 from icu_common.adapters.processes.program_end import end_signals, ends_quietly
 from icu_common.adapters.state_folder import default_state_folder
@@ -152,7 +158,7 @@ class BringUp:
         """
         try:
             hold_names(self.options.namespace)
-        except GraphError:
+        except GraphDescriptionError:
             if os.environ.get("ROS_DOMAIN_ID") or not self._is_simulated(programs):
                 raise
             domain = hold_another_domain(self.options.namespace)
@@ -183,14 +189,16 @@ class BringUp:
     def _check_names(self, programs: list[Program]) -> None:
         for text in self.options.set:
             if not _SETTING.fullmatch(text):
-                raise GraphError(f"--set {text}; expected PROGRAM.PARAMETER=VALUE")
+                raise GraphDescriptionError(f"--set {text}; expected PROGRAM.PARAMETER=VALUE")
         names = {p.name for p in programs}
         given = {*self.options.only, *self.options.without, *(text.partition(".")[0] for text in self.options.set)}
         if given - names:
-            raise GraphError(f"no program {', '.join(sorted(given - names))}; there are {', '.join(sorted(names))}")
+            raise GraphDescriptionError(
+                f"no program {', '.join(sorted(given - names))}; there are {', '.join(sorted(names))}"
+            )
         if names and not self._chosen(programs):
             which = [f"--{how} {name}" for how in ("only", "without") for name in getattr(self.options, how)]
-            raise GraphError(f"nothing is left to start: {', '.join(which)}")
+            raise GraphDescriptionError(f"nothing is left to start: {', '.join(which)}")
 
     def _chosen(self, programs: list[Program]) -> list[Program]:
         wanted = {*self.options.only} or {p.name for p in programs}
@@ -208,9 +216,9 @@ class BringUp:
         if not self.options.prepare:
             return
         if "serial_driver" not in {p.name for p in programs}:
-            raise GraphError(f"--prepare moves the machine; profile {self.options.profile} has none")
+            raise GraphDescriptionError(f"--prepare moves the machine; profile {self.options.profile} has none")
         if not self._is_simulated(programs):
-            raise GraphError(
+            raise GraphDescriptionError(
                 "--prepare moves the machine by itself, so it is for the board in software (mock_grbl) that is started "
                 "with it; on hardware use the page"
             )
@@ -219,7 +227,7 @@ class BringUp:
         try:
             check_environment()
         except ValueError as error:
-            raise GraphError(str(error)) from error
+            raise GraphDescriptionError(str(error)) from error
         environment = {**os.environ, "PYTHONUNBUFFERED": "1"}
         environment |= self._environment
         log = RunLog(state / "logs")
@@ -238,13 +246,13 @@ class BringUp:
     def _with_single_values(self, program: Program) -> Program:
         given = [text for text in self.options.set if text.partition(".")[0] == program.name]
         if given and not program.is_node:
-            raise GraphError(f"--set {given[0]}: {program.name} is no node and has no parameters")
+            raise GraphDescriptionError(f"--set {given[0]}: {program.name} is no node and has no parameters")
         try:
             values = values_of_pairs(text.partition(".")[2] for text in given)
         except ValueError as error:
-            raise GraphError(f"--set {program.name}: {error}") from error
+            raise GraphDescriptionError(f"--set {program.name}: {error}") from error
         for name in (name for name, value in values.items() if value is None):
-            raise GraphError(f"--set {program.name}.{name}: a value is needed; \"''\" is the empty text")
+            raise GraphDescriptionError(f"--set {program.name}.{name}: a value is needed; \"''\" is the empty text")
         return dataclasses.replace(program, parameters={**program.parameters, **values})
 
     def _stop(self, number: int, frame: FrameType | None) -> None:
@@ -269,7 +277,7 @@ def main() -> int:
     bring_up = BringUp(parser().parse_args())
     try:
         return bring_up.run()
-    except (GraphError, OSError) as error:
+    except (GraphDescriptionError, OSError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
 

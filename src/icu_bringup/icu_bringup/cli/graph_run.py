@@ -28,7 +28,7 @@ from icu_common.adapters.executables import find_executable
 from icu_common.adapters.processes.hanging_programs import write_hanging
 from icu_common.adapters.processes.processor_load import LoadMeter
 from icu_common.adapters.terminal_keys import typed_text
-from icu_common.core.processes.preparation import Report, Stage, from_line
+from icu_common.core.processes.preparation import PreparationReport, PreparationStage, from_line
 from icu_common.core.processes.supervision import HANGING_VARIABLE
 
 IMPORTANT = ("WARN", "ERROR", "FATAL", "error:", "Traceback", "Fatal Python error", 'File "', "http://", "https://")
@@ -86,7 +86,7 @@ class GraphRun:
         self._page = ""
         self._reads_keys = sys.stdin is not None and sys.stdin.isatty()
         self._complete = self._prepares = False
-        self._report: Report | None = None
+        self._report: PreparationReport | None = None
         self._remaining = RemainingTime()
         self._repeats = 0
         self._repeat_offered = False
@@ -206,9 +206,9 @@ class GraphRun:
                 self._screen.say(f"\nReady.{page}\nCtrl-C ends every program.\n")
             self._keep_box("Ready: the machine is homed and calibrated.")
             return
-        report = self._report or Report(stage=Stage.FAILED)
-        if report.stage is not Stage.FAILED:
-            report = Report(stage=Stage.FAILED, failed_at=report.stage, text=text)
+        report = self._report or PreparationReport(stage=PreparationStage.FAILED)
+        if report.stage is not PreparationStage.FAILED:
+            report = PreparationReport(stage=PreparationStage.FAILED, failed_at=report.stage, text=text)
         failed = failure(report)
         if repeats_by_itself(report, self._repeats):
             self._repeats += 1
@@ -248,10 +248,10 @@ class GraphRun:
         if self._box:
             return
         report, ready = self._report, self._group.ready_count()
-        early = report is None or report.stage in (Stage.CONNECTING, Stage.ENABLING)
+        early = report is None or report.stage in (PreparationStage.CONNECTING, PreparationStage.ENABLING)
         if ready < total and early:
             self._show_status(starting(ready, total))
-        elif report is not None and report.stage not in (Stage.READY, Stage.FAILED):
+        elif report is not None and report.stage not in (PreparationStage.READY, PreparationStage.FAILED):
             self._show_status(preparing(report, self._remaining.left_s(time.monotonic())))
         elif not self._options.prepare and ready >= total:
             self._keep_box(f"All programs of the profile {self._options.profile} run.")
@@ -283,7 +283,7 @@ class GraphRun:
         else:
             self._screen.log(text)
 
-    def _take(self, report: Report) -> None:
+    def _take(self, report: PreparationReport) -> None:
         self._report = report
         if report.total:
             self._remaining.progress(report.done, report.total, time.monotonic(), report.left_s)

@@ -30,7 +30,7 @@ from icu_common.nodes.graph_node import this_process
 from icu_common.nodes.messages.answers import answer_of
 from icu_common.nodes.messages.heads import stamp_ns
 from icu_common.nodes.qos import RESULTS
-from icu_common.nodes.runtime import Session
+from icu_common.nodes.runtime import RosSession
 
 CUE, TRAJECTORY, ANSWER = "bag/cue", "gantry/trajectory", "gantry/trajectory_result"
 SETTLED_S = 1.0
@@ -55,7 +55,7 @@ class StepPlayer:
     """
 
     def __init__(
-        self, session: Session, node: BagPlayer, bag: BagReader, topics: Collection[str], patience_s: float
+        self, session: RosSession, node: BagPlayer, bag: BagReader, topics: Collection[str], patience_s: float
     ) -> None:
         self._session, self._node, self._patience_s = session, node, patience_s
         assert this_process.ledger is not None

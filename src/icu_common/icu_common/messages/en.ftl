@@ -40,7 +40,12 @@ bridge-no_recognition_listens_could_taught = no recognition is running that can 
 bridge-no_report_late = no report for { FIXED($silent_s, digits: 0) } s, late: { $names }
 bridge-no_sequencer_listens = no sequencer is running
 bridge-record_could_not_written = cannot write the record: { $error }
+bridge-reset_void = no reset, the machine has another state now: { $state }
+bridge-reset_waits = waits until the stop is complete and the stylus is up
 bridge-service_not = the service { $services } is missing
+bridge-stop_by_person = stop: stopped_by_person, pressed by { $who }
+bridge-stop_cause = stop: { $cause }
+bridge-stop_silent = stop: { $cause }, silent for { FIXED($silence_s, digits: 2) } s (limit { FIXED($limit_s, digits: 2) } s)
 bridge-stopped_before_went_out = stopped before it went out
 
 ## calibration

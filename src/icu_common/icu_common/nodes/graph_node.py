@@ -24,7 +24,7 @@ from rclpy.time import Time
 
 from icu_common.adapters.steps.step_ledger import LEDGER_VARIABLE, StepLedger
 from icu_common.nodes.admission.message_sizes import max_bytes_of
-from icu_common.nodes.qos import ARRIVES_WHOLE
+from icu_common.nodes.qos import ARRIVES_WHOLE, LATCHED
 
 CLOCK_TOPIC = "/clock"
 Observer = Callable[[Node, Subscription], Callable[[], None]]
@@ -195,6 +195,10 @@ class _Graph:
             finally:
                 ledger.end_callback(name)
 
+        if runs_timers and this_process.simulated:
+            # DDS matches both ends at different times: the publisher may count this one before it receives. A latched
+            # time arrives all the same; a lost one would stop the simulation for seconds.
+            qos_profile = LATCHED
         if ledger is None:
             made = super().create_subscription(msg_type, topic, take, qos_profile, **kwargs)  # type: ignore[misc]
         else:

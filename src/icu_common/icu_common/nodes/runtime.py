@@ -87,7 +87,7 @@ _CHECK_S = 0.1
 """Minimum interval between two checks of a process: its publishers' matches, and whether it receives messages."""
 
 
-class Session:
+class RosSession:
     """rclpy between its start and its end: an executor, and whether a signal to end has arrived."""
 
     def __init__(self) -> None:
@@ -200,7 +200,7 @@ def start_rclpy(arguments: Sequence[str] | None) -> None:
 
 
 @contextlib.contextmanager
-def ros_session(arguments: Sequence[str] | None = None, shared_memory: bool = True) -> Iterator[Session]:
+def ros_session(arguments: Sequence[str] | None = None, shared_memory: bool = True) -> Iterator[RosSession]:
     """Start rclpy with the graph's transport, and shut it down at the end.
 
     Raises
@@ -216,7 +216,7 @@ def ros_session(arguments: Sequence[str] | None = None, shared_memory: bool = Tr
     with _readable():
         start_rclpy(arguments)
     try:
-        yield Session()
+        yield RosSession()
     finally:
         rclpy.shutdown()
         this_process.end()
@@ -304,7 +304,7 @@ def _seconds_heard_in(node: Node) -> float:
     return time.monotonic() if ledger is None or not runs_by_clock_topic(node) else ledger.time_ns / 1e9
 
 
-def _spin(session: Session, makers: Sequence[Callable[..., Node]]) -> int:
+def _spin(session: RosSession, makers: Sequence[Callable[..., Node]]) -> int:
     nodes: list[Node] = []
     hearing = _hearing()
     try:

@@ -16,12 +16,12 @@ from icu_simulator.core.configuration import BenchConfig
 from icu_simulator.core.instrument import InstrumentState
 from icu_simulator.core.mechanics import Errors, Mechanism, draw_errors
 from icu_simulator.core.renderer import Moment, base_from_panel
-from icu_simulator.core.touch import FACE, Touch, TouchEvent
+from icu_simulator.core.touch import FACE, BenchTouch, TouchEvent
 from icu_simulator.imaging.motion import SAMPLE_S, TipTrack
 from icu_simulator.manufacture.layout import deviations, manufactured
 from icu_simulator.mechanisms.contact import GlassSensor, contact_diameter_mm
 from icu_simulator.mechanisms.drives import Drives
-from icu_simulator.mechanisms.switch import StylusSwitch
+from icu_simulator.mechanisms.switch import BenchStylusSwitch
 
 GAP_S = 1.0
 """Maximum seconds between two motor samples; after a longer gap the path between them is unknown."""
@@ -58,7 +58,7 @@ class Bench:
         self.panel_from: Transform = base_from_panel(config.panel)
         self.state = InstrumentState()
         self.touch = self._make_touch(config)
-        self._switch = StylusSwitch(config.stylus.switch)
+        self._switch = BenchStylusSwitch(config.stylus.switch)
         self._glass = GlassSensor()
         self._records: list[dict[str, Any]] = []
         self._history: deque[tuple[float, Array, Array]] = deque(maxlen=_HISTORY)
@@ -66,10 +66,10 @@ class Bench:
         self._last_s = -np.inf
         self._log_layout()
 
-    def _make_touch(self, config: BenchConfig) -> Touch:
+    def _make_touch(self, config: BenchConfig) -> BenchTouch:
         radius_mm = config.stylus.ball_diameter_mm / 2
         spring, mechanisms = config.stylus.spring, config.mechanisms
-        return Touch(self.layout, radius_mm, self._react, self._knob_deg, config.keys, spring, mechanisms)
+        return BenchTouch(self.layout, radius_mm, self._react, self._knob_deg, config.keys, spring, mechanisms)
 
     def _log_layout(self) -> None:
         """Log the true panel if it differs from the nominal one."""

@@ -22,7 +22,7 @@ def _check_lengths(config: Config, **lengths: int) -> None:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class CameraConfig(Config):
+class BenchCameraConfig(Config):
     """The stereo pair: two equal cameras on a bar, aimed at the panel from below."""
 
     width_px: int = setting(1280, "Width of one image", minimum=160, maximum=4096, unit="px", read_only=True)
@@ -159,7 +159,7 @@ class MechanicsConfig(Config):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class StylusConfig(Config):
+class BenchStylusConfig(Config):
     """Actuator and shape of the stylus."""
 
     kind: str = setting("z_axis", "Actuator that lowers the stylus", choices=("z_axis", "servo_m3", "solenoid_m8"))
@@ -185,7 +185,7 @@ class StylusConfig(Config):
     spring: SpringConfig = nested(SpringConfig)
     switch: SwitchConfig = nested(SwitchConfig)
 
-    def still(self) -> StylusConfig:
+    def still(self) -> BenchStylusConfig:
         """Return the visible and moving part: default spring and switch."""
         return dataclasses.replace(self, spring=SpringConfig(), switch=SwitchConfig())
 
@@ -213,11 +213,11 @@ class BenchConfig(Config):
         read_only=True,
     )
     seed: int = setting(1, "Seed of the hidden errors and the noise", minimum=0, maximum=2**31 - 1, read_only=True)
-    camera: CameraConfig = nested(CameraConfig)
+    camera: BenchCameraConfig = nested(BenchCameraConfig)
     light: LightConfig = nested(LightConfig)
     panel: PanelConfig = nested(PanelConfig)
     mechanics: MechanicsConfig = nested(MechanicsConfig)
-    stylus: StylusConfig = nested(StylusConfig)
+    stylus: BenchStylusConfig = nested(BenchStylusConfig)
     imaging: ImagingConfig = nested(ImagingConfig)
     keys: KeysConfig = nested(KeysConfig)
     manufacture: ManufactureConfig = nested(ManufactureConfig)

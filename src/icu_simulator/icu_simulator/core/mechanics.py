@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from icu_common.core.geometry.geometry import Array
-from icu_simulator.core.configuration import MechanicsConfig, StylusConfig
+from icu_simulator.core.configuration import BenchStylusConfig, MechanicsConfig
 from icu_simulator.mechanisms.configuration import MechanismsConfig
 from icu_simulator.mechanisms.drives import Drives
 
@@ -42,7 +42,7 @@ class Mechanism:
     """Follows the motors; keeps the position of each axis within its backlash."""
 
     def __init__(
-        self, config: MechanicsConfig, stylus: StylusConfig, errors: Errors, drives: Drives | None = None
+        self, config: MechanicsConfig, stylus: BenchStylusConfig, errors: Errors, drives: Drives | None = None
     ) -> None:
         self._drives = drives if drives is not None else Drives(MechanismsConfig(), 0)
         self._stylus = stylus

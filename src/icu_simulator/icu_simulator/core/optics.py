@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from icu_common.core.geometry.geometry import Array, Transform
-from icu_simulator.core.configuration import CameraConfig
+from icu_simulator.core.configuration import BenchCameraConfig
 
 _DIGITS = 13
 
@@ -184,7 +184,7 @@ class StereoRig:
         }
 
 
-def stereo_rig(config: CameraConfig) -> StereoRig:
+def stereo_rig(config: BenchCameraConfig) -> StereoRig:
     """Mount the two cameras on their bar."""
     # A bar with its line of sight along -z and x to the right, then raised towards -y, rotated about z, and rolled.
     base_from_bar = turn(2, config.azimuth_deg) @ turn(0, config.elevation_deg) @ np.diag([1.0, -1.0, -1.0])

@@ -12,7 +12,15 @@ import numpy as np
 import numpy.typing as npt
 
 from icu_common.core.geometry.geometry import Array
-from icu_common.core.panel.panel_layout import Circle, Control, Line, PanelLayout, Rectangle, Text, rgb
+from icu_common.core.panel.panel_layout import (
+    ArtworkCircle,
+    ArtworkLine,
+    ArtworkRectangle,
+    ArtworkText,
+    Control,
+    PanelLayout,
+    rgb,
+)
 from icu_common.core.panel.stroke_font import text_strokes
 
 Picture = npt.NDArray[np.uint8]
@@ -108,22 +116,22 @@ def draw_face(layout: PanelLayout, per_mm: float) -> Picture:
     """Return the printed face, (height * per_mm, width * per_mm, 3) BGR, without protruding parts."""
     canvas = Canvas(layout.size_mm, per_mm, layout.colour)
     for item in layout.artwork:
-        if isinstance(item, Rectangle):
+        if isinstance(item, ArtworkRectangle):
             x, y, width, height = item.rectangle_mm
             if item.fill:
                 canvas.rectangle(x, y, width, height, item.fill)
             if item.outline:
                 canvas.frame(x, y, width, height, item.line_mm, item.outline)
-        elif isinstance(item, Circle):
+        elif isinstance(item, ArtworkCircle):
             x, y, radius = item.circle_mm
             if item.fill:
                 canvas.ring(x, y, -1.0, radius, item.fill)
             if item.outline:
                 canvas.ring(x, y, radius - item.line_mm / 2, radius + item.line_mm / 2, item.outline)
-        elif isinstance(item, Line):
+        elif isinstance(item, ArtworkLine):
             x0, y0, x1, y1 = item.line_from_to_mm
             canvas.polyline(np.array([[x0, y0], [x1, y1]]), item.line_mm, item.colour)
-        elif isinstance(item, Text):
+        elif isinstance(item, ArtworkText):
             canvas.text(item.text, item.at_mm, item.height_mm, item.line_mm, item.colour)
     for control in layout.controls:
         if control.height_mm == 0:

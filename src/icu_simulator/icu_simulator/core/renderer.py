@@ -1,6 +1,6 @@
 """Renders the stereo pair: the static views, the live screen, a hand, the stylus, and the sensor's noise.
 
-Per frame only the screen and the stylus are drawn; the rest comes from :class:`icu_simulator.core.view.View`.
+Per frame only the screen and the stylus are drawn; the rest comes from :class:`icu_simulator.core.view.BenchView`.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ import numpy.typing as npt
 from icu_common.core.geometry.geometry import Array, Transform
 from icu_common.core.panel.panel_layout import Control, PanelLayout
 from icu_simulator.core import screen
-from icu_simulator.core.configuration import BenchConfig, LightConfig, PanelConfig, StylusConfig
+from icu_simulator.core.configuration import BenchConfig, BenchStylusConfig, LightConfig, PanelConfig
 from icu_simulator.core.instrument import InstrumentState
 from icu_simulator.core.optics import Rays, StereoRig, turn
 from icu_simulator.core.panel_texture import Picture
 from icu_simulator.core.solids import ControlState
 from icu_simulator.core.stylus_picture import StylusPainter
 from icu_simulator.core.surfaces import Surfaces
-from icu_simulator.core.view import SAMPLES, View, Window
+from icu_simulator.core.view import SAMPLES, BenchView, Window
 from icu_simulator.imaging.configuration import ImagingConfig
 from icu_simulator.imaging.motion import ShutterTimes, TipTrack, row_tips
 from icu_simulator.imaging.rig import NO_SHIFTS, CameraShift, Drift, Shifts, true_rig
@@ -111,7 +111,7 @@ class Renderer:
         self._make_noise()
 
     @property
-    def views(self) -> tuple[View, View]:
+    def views(self) -> tuple[BenchView, BenchView]:
         """The left and the right view."""
         return self._sides[0].view, self._sides[1].view
 
@@ -120,7 +120,9 @@ class Renderer:
         place = (self._camera_xy, self._samples)
         return [
             _Side(
-                View(rays, seen, self.layout, self._surfaces, self._light, shift, *place, self._config.imaging.defocus),
+                BenchView(
+                    rays, seen, self.layout, self._surfaces, self._light, shift, *place, self._config.imaging.defocus
+                ),
                 self._config.stylus,
             )
             for rays, shift in zip(self._rays, (0.0, GLARE_SHIFT_MM))
@@ -271,7 +273,7 @@ class Renderer:
 class _Side:
     """One camera's part of the renderer."""
 
-    def __init__(self, view: View, stylus: StylusConfig) -> None:
+    def __init__(self, view: BenchView, stylus: BenchStylusConfig) -> None:
         self.view = view
         self._stylus = StylusPainter(view, stylus)
         self._screen: Window | None = None
@@ -348,7 +350,7 @@ class _Side:
         return picture
 
 
-def control_pixels(view: View, layout: PanelLayout) -> dict[str, dict[str, list[list[float]] | list[float]]]:
+def control_pixels(view: BenchView, layout: PanelLayout) -> dict[str, dict[str, list[list[float]] | list[float]]]:
     """Return the image position of each control in raw pixels: ``centre`` and outline of its face at its full height.
 
     ``base_centre`` is the same point on the panel's face.

@@ -14,10 +14,10 @@ import numpy as np
 import numpy.typing as npt
 
 from icu_common.core.geometry.geometry import Array
-from icu_simulator.core.configuration import LightConfig, StylusConfig
+from icu_simulator.core.configuration import BenchStylusConfig, LightConfig
 from icu_simulator.core.panel_texture import Picture
 from icu_simulator.core.solids import LAMP_DIRECTION, SHADOW_REACH
-from icu_simulator.core.view import View, Window, window_around
+from icu_simulator.core.view import BenchView, Window, window_around
 
 BALL = np.array([176.0, 22.0, 226.0])
 """Colour of the ball: magenta, BGR; nothing else on the bench has this hue."""
@@ -45,7 +45,7 @@ class _Part:
 class StylusPainter:
     """Draws the stylus over an image of one view; intermediate results are kept while the stylus is at rest."""
 
-    def __init__(self, view: View, config: StylusConfig) -> None:
+    def __init__(self, view: BenchView, config: BenchStylusConfig) -> None:
         self._view = view
         self._config = config
         # Rays in base_link with z = -1: the cameras are aimed down at the bench.

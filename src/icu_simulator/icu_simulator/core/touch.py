@@ -99,7 +99,7 @@ class _Contact:
 
 
 @dataclass(slots=True)
-class Touch:
+class BenchTouch:
     """The ball over one panel; :meth:`move` follows it."""
 
     layout: PanelLayout

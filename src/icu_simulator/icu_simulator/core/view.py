@@ -46,7 +46,7 @@ class Sprite:
     emitted: npt.NDArray[np.float32]
 
 
-class View:
+class BenchView:
     """The static scene of one camera.
 
     Parameters

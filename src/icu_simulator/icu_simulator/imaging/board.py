@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from icu_common.core.geometry.geometry import Array, Transform
-from icu_simulator.core.configuration import CameraConfig
+from icu_simulator.core.configuration import BenchCameraConfig
 from icu_simulator.core.optics import Camera, StereoRig, stereo_rig, turn
 from icu_simulator.imaging.configuration import CalibrationErrorConfig, LensConfig
 
@@ -32,7 +32,7 @@ _TRIES = 400
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class BoardResult:
-    """The true cameras of calibration files with the values of ``CameraConfig``, and the residual error of the fit.
+    """True cameras of calibration files with the values of ``BenchCameraConfig``, and the residual error of the fit.
 
     ``rms_px`` (2,) of the left and the right camera, over both coordinates of all corners as in OpenCV.
     """
@@ -43,7 +43,9 @@ class BoardResult:
 
 
 @functools.lru_cache(maxsize=8)
-def true_cameras(camera: CameraConfig, calibration: CalibrationErrorConfig, lens: LensConfig, seed: int) -> BoardResult:
+def true_cameras(
+    camera: BenchCameraConfig, calibration: CalibrationErrorConfig, lens: LensConfig, seed: int
+) -> BoardResult:
     """Return the cameras for which a board calibration would result in the calibration files of ``camera``.
 
     Parameters

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from icu_common.core.configuration.config import Config, ConfigError, nested, setting
-from icu_simulator.imaging.effect import Effect
+from icu_simulator.imaging.effect import BenchEffect
 
 
 def _check_lengths(config: Config, **lengths: int) -> None:
@@ -18,7 +18,7 @@ def _check_lengths(config: Config, **lengths: int) -> None:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class CalibrationErrorConfig(Effect):
+class CalibrationErrorConfig(BenchEffect):
     """Error of a calibration with a printed board: the cameras differ slightly from the calibration files."""
 
     SOURCE: ClassVar[str] = (
@@ -35,7 +35,7 @@ class CalibrationErrorConfig(Effect):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class LensConfig(Effect):
+class LensConfig(BenchEffect):
     """Distortion that the five coefficients of the calibration cannot describe; the fit absorbs most of it."""
 
     SOURCE: ClassVar[str] = (
@@ -50,12 +50,12 @@ class LensConfig(Effect):
     )
 
     def __post_init__(self) -> None:
-        Effect.__post_init__(self)
+        BenchEffect.__post_init__(self)
         _check_lengths(self, trefoil=2)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class DefocusConfig(Effect):
+class DefocusConfig(BenchEffect):
     """Circle of confusion by distance: focal length times aperture times the difference of the inverse distances."""
 
     SOURCE: ClassVar[str] = "thin lens; f = 5 mm at f/2.0 (M12 lenses of 1/3 inch board cameras)"
@@ -66,7 +66,7 @@ class DefocusConfig(Effect):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ExposureConfig(Effect):
+class ExposureConfig(BenchEffect):
     """Exposure time, which causes motion blur of the stylus."""
 
     SOURCE: ClassVar[str] = "one half-period of 50 Hz mains, the shortest exposure of a UVC camera that avoids flicker"
@@ -76,7 +76,7 @@ class ExposureConfig(Effect):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class RollingShutterConfig(Effect):
+class RollingShutterConfig(BenchEffect):
     """Rolling shutter: the rows are exposed one after the other, from the top."""
 
     SOURCE: ClassVar[str] = "SMPTE ST 296: 750 lines a frame, 44 us a line at 30 Hz, 22 us at 60 Hz"
@@ -86,7 +86,7 @@ class RollingShutterConfig(Effect):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class AutoExposureConfig(Effect):
+class AutoExposureConfig(BenchEffect):
     """Auto exposure, which follows the brightness of the image with a lag and in steps."""
 
     SOURCE: ClassVar[str] = (
@@ -101,7 +101,7 @@ class AutoExposureConfig(Effect):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class WhiteBalanceConfig(Effect):
+class WhiteBalanceConfig(BenchEffect):
     """Automatic white balance, which shifts the mean of the image towards grey in part and with a lag."""
 
     SOURCE: ClassVar[str] = (
@@ -114,7 +114,7 @@ class WhiteBalanceConfig(Effect):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class FlickerConfig(Effect):
+class FlickerConfig(BenchEffect):
     """Flicker of mains light; with a rolling shutter the image has bands."""
 
     SOURCE: ClassVar[str] = "percent flicker 20 to 40 of lamps on a magnetic ballast (IEEE Std 1789-2015)"
@@ -127,7 +127,7 @@ class FlickerConfig(Effect):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ShotNoiseConfig(Effect):
+class ShotNoiseConfig(BenchEffect):
     """Noise that grows with the light; ``light.noise`` is the noise without light."""
 
     SOURCE: ClassVar[str] = (
@@ -139,14 +139,14 @@ class ShotNoiseConfig(Effect):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class BayerConfig(Effect):
+class BayerConfig(BenchEffect):
     """Bayer pattern (RGGB): one colour for each pixel, the others by bilinear interpolation."""
 
     SOURCE: ClassVar[str] = "B. E. Bayer, US patent 3,971,065; every colour webcam"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class JpegConfig(Effect):
+class JpegConfig(BenchEffect):
     """MJPEG compression, as in a UVC camera that sends 1280 x 720 over USB 2."""
 
     SOURCE: ClassVar[str] = "ITU-T T.81; UVC MJPEG payload; webcams send 4:2:2 or 4:2:0 at a quality of 75 to 90"
@@ -160,7 +160,7 @@ class JpegConfig(Effect):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class StampsConfig(Effect):
+class StampsConfig(BenchEffect):
     """Stamps after the middle of the exposure, with jitter."""
 
     SOURCE: ClassVar[str] = (
@@ -173,7 +173,7 @@ class StampsConfig(Effect):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class LossesConfig(Effect):
+class LossesConfig(BenchEffect):
     """Lost images, and images repeated with a new stamp."""
 
     SOURCE: ClassVar[str] = (
@@ -187,7 +187,7 @@ class LossesConfig(Effect):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class FreeRunningConfig(Effect):
+class FreeRunningConfig(BenchEffect):
     """Cameras without a common trigger: the right camera exposes at its own time, which drifts."""
 
     SOURCE: ClassVar[str] = "phases and rates of two cameras in picamera2 issue 1050; crystals differ by 20 to 50 ppm"
@@ -202,7 +202,7 @@ class FreeRunningConfig(Effect):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class WarmingConfig(Effect):
+class WarmingConfig(BenchEffect):
     """Warming cameras rotate on their mounts and change their focal length; the ramp begins when it is set."""
 
     SOURCE: ClassVar[str] = (
@@ -224,7 +224,7 @@ class WarmingConfig(Effect):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class KnockConfig(Effect):
+class KnockConfig(BenchEffect):
     """A single knock against a camera or its lens."""
 
     SOURCE: ClassVar[str] = (
@@ -243,12 +243,12 @@ class KnockConfig(Effect):
     after_s: float = setting(0.0, "Delay of the knock after this setting", minimum=0.0, maximum=86400.0, unit="s")
 
     def __post_init__(self) -> None:
-        Effect.__post_init__(self)
+        BenchEffect.__post_init__(self)
         _check_lengths(self, turn_deg=3, lens_px=2)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class MirrorConfig(Effect):
+class MirrorConfig(BenchEffect):
     """Mirror image of the stylus in the glass of the screen."""
 
     SOURCE: ClassVar[str] = "Fresnel: 4.3 % of one side of glass with n = 1.52 at right angles"
@@ -258,7 +258,7 @@ class MirrorConfig(Effect):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class VibrationConfig(Effect):
+class VibrationConfig(BenchEffect):
     """Vibration of the camera bar; with a rolling shutter lines bend."""
 
     SOURCE: ClassVar[str] = (

@@ -11,7 +11,7 @@ from icu_common.core.configuration.config import Config, setting
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Effect(Config):
+class BenchEffect(Config):
     """One effect of the bench; its default values are its ordinary size.
 
     Attributes
@@ -30,7 +30,7 @@ class Effect(Config):
 
     enabled: bool = setting(False, "Simulate this effect")
 
-    def scaled(self, factor: float) -> Effect:
+    def scaled(self, factor: float) -> BenchEffect:
         """Return the enabled effect with its sizes multiplied by ``factor``."""
         changed: dict[str, Any] = {}
         for name in self.SCALED:
@@ -39,11 +39,11 @@ class Effect(Config):
         return dataclasses.replace(self, enabled=True, **changed)
 
 
-def effects_of(config: Any, prefix: str = "") -> Iterator[tuple[str, Effect]]:
+def effects_of(config: Any, prefix: str = "") -> Iterator[tuple[str, BenchEffect]]:
     """Iterate over the effects in a configuration, with their dotted names."""
     for field in dataclasses.fields(config):
         value = getattr(config, field.name)
-        if isinstance(value, Effect):
+        if isinstance(value, BenchEffect):
             yield prefix + field.name, value
         elif isinstance(value, Config):
             yield from effects_of(value, f"{prefix}{field.name}.")

@@ -124,4 +124,5 @@ class Drift:
         if setting != effect:
             begin_s = now_s
         self._begun[name] = effect, begin_s
-        return now_s - begin_s
+        # A free-running camera may expose before the one that is drawn first.
+        return max(now_s - begin_s, 0.0)

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from icu_common.core.panel.panel_layout import Line, PanelLayout, Text
+from icu_common.core.panel.panel_layout import ArtworkLine, ArtworkText, PanelLayout
 from icu_simulator.manufacture.configuration import AgeConfig
 
 Picture = npt.NDArray[np.uint8]
@@ -43,7 +43,7 @@ def aged(
     face = draw(layout, per_mm)
     if config.wear > 0:
         # Letters and lines wear off; painted areas below them are thicker.
-        bare = tuple(item for item in layout.artwork if not isinstance(item, (Text, Line)))
+        bare = tuple(item for item in layout.artwork if not isinstance(item, (ArtworkText, ArtworkLine)))
         face = _worn(face, draw(dataclasses.replace(layout, artwork=bare), per_mm), config.wear, per_mm, rng)
     _dusty(face, config.dust_per_dm2, per_mm, rng)
     return face

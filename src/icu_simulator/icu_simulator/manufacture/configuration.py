@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from icu_common.core.configuration.config import Config, nested, setting
-from icu_simulator.imaging.effect import Effect
+from icu_simulator.imaging.effect import BenchEffect
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -38,7 +38,7 @@ class AgeConfig(Config):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ManufactureConfig(Effect):
+class ManufactureConfig(BenchEffect):
     """Deviations of the manufactured panel from its layout file, drawn from the seed of the bench."""
 
     SOURCE: ClassVar[str] = (

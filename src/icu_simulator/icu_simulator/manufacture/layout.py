@@ -7,7 +7,16 @@ import itertools
 
 import numpy as np
 
-from icu_common.core.panel.panel_layout import Artwork, Circle, Control, Line, PanelLayout, Rectangle, Text, rgb
+from icu_common.core.panel.panel_layout import (
+    Artwork,
+    ArtworkCircle,
+    ArtworkLine,
+    ArtworkRectangle,
+    ArtworkText,
+    Control,
+    PanelLayout,
+    rgb,
+)
 from icu_common.core.panel.stroke_font import text_strokes
 from icu_simulator.manufacture.configuration import ManufactureConfig, PrintConfig
 
@@ -65,7 +74,7 @@ def print_offset_mm(nominal: PanelLayout, made: PanelLayout) -> tuple[float, flo
     ValueError
         If the panel has no printed rectangle or circle.
     """
-    for kind in (Rectangle, Circle):
+    for kind in (ArtworkRectangle, ArtworkCircle):
         pairs = zip(*([item for item in panel.artwork if isinstance(item, kind)] for panel in (nominal, made)))
         for before, after in pairs:
             (x0, y0), (x1, y1) = (_corner(before), _corner(after))
@@ -74,9 +83,9 @@ def print_offset_mm(nominal: PanelLayout, made: PanelLayout) -> tuple[float, flo
 
 
 def _corner(item: Artwork) -> tuple[float, float]:
-    if isinstance(item, Rectangle):
+    if isinstance(item, ArtworkRectangle):
         return item.rectangle_mm[0], item.rectangle_mm[1]
-    assert isinstance(item, Circle)
+    assert isinstance(item, ArtworkCircle)
     return item.circle_mm[0], item.circle_mm[1]
 
 
@@ -102,19 +111,19 @@ def _painted(colour: str, levels: float, rng: np.random.Generator) -> str:
 
 def _printed(item: Artwork, offset: tuple[float, float], config: PrintConfig) -> list[Artwork]:
     dx, dy = offset
-    if isinstance(item, Rectangle):
+    if isinstance(item, ArtworkRectangle):
         x, y, width, height = item.rectangle_mm
         return [dataclasses.replace(item, rectangle_mm=(x + dx, y + dy, width, height))]
-    if isinstance(item, Circle):
+    if isinstance(item, ArtworkCircle):
         x, y, radius = item.circle_mm
         return [dataclasses.replace(item, circle_mm=(x + dx, y + dy, radius))]
-    if isinstance(item, Line):
+    if isinstance(item, ArtworkLine):
         x0, y0, x1, y1 = item.line_from_to_mm
         return [dataclasses.replace(item, line_from_to_mm=(x0 + dx, y0 + dy, x1 + dx, y1 + dy))]
     return _lettered(item, offset, config)
 
 
-def _lettered(item: Text, offset: tuple[float, float], config: PrintConfig) -> list[Artwork]:
+def _lettered(item: ArtworkText, offset: tuple[float, float], config: PrintConfig) -> list[Artwork]:
     """Return the letters as lines, which are enough for another width and slant."""
     centre, at = np.array(item.at_mm), np.array(item.at_mm) + offset
     shape = np.array([[config.font_width, config.font_slant], [0.0, config.font_height]])
@@ -122,7 +131,7 @@ def _lettered(item: Text, offset: tuple[float, float], config: PrintConfig) -> l
     for stroke in text_strokes(item.text, item.at_mm, item.height_mm):
         points = at + (stroke - centre) @ shape.T
         lines += [
-            Line(
+            ArtworkLine(
                 line_from_to_mm=(float(a[0]), float(a[1]), float(b[0]), float(b[1])),
                 colour=item.colour,
                 line_mm=item.line_mm * config.font_weight,
@@ -145,7 +154,7 @@ def _screws(layout: PanelLayout, controls: tuple[Control, ...], rng: np.random.G
             continue
         dx, dy = 0.8 * SCREW_MM * np.array([np.cos(angle), np.sin(angle)])
         shapes += [
-            Circle(circle_mm=(x, y, SCREW_MM), fill="#9a9d9a", outline="#5a5d5a", line_mm=0.3),
-            Line(line_from_to_mm=(x - dx, y - dy, x + dx, y + dy), colour="#3a3c3a", line_mm=0.5),
+            ArtworkCircle(circle_mm=(x, y, SCREW_MM), fill="#9a9d9a", outline="#5a5d5a", line_mm=0.3),
+            ArtworkLine(line_from_to_mm=(x - dx, y - dy, x + dx, y + dy), colour="#3a3c3a", line_mm=0.5),
         ]
     return shapes

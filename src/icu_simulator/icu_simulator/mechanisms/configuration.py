@@ -8,11 +8,11 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from icu_common.core.configuration.config import Config, ConfigError, nested, setting
-from icu_simulator.imaging.effect import Effect
+from icu_simulator.imaging.effect import BenchEffect
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ScrewConfig(Effect):
+class ScrewConfig(BenchEffect):
     """Lead screw of z: a periodic error, which repeats with each turn, and a lead error."""
 
     SOURCE: ClassVar[str] = "ISO 3408-3: 0.052 mm on 300 mm for class 7; 0.008 mm in a turn for class 5"
@@ -26,7 +26,7 @@ class ScrewConfig(Effect):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class PulleyConfig(Effect):
+class PulleyConfig(BenchEffect):
     """Pulleys and belts of x and y: run-out of each pulley, and an error that repeats with each tooth."""
 
     SOURCE: ClassVar[str] = "estimate: a pulley with a set screw sits some hundredths of a millimetre off"
@@ -43,7 +43,7 @@ class PulleyConfig(Effect):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ThermalConfig(Effect):
+class ThermalConfig(BenchEffect):
     """Thermal expansion of frame and rails while motors and room warm up."""
 
     SOURCE: ClassVar[str] = "linear expansion of aluminium, 23e-6 per kelvin (handbook value)"
@@ -62,7 +62,7 @@ class ThermalConfig(Effect):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class RingingConfig(Effect):
+class RingingConfig(BenchEffect):
     """Ringing of the carriage on its belts, as a spring and a mass."""
 
     SOURCE: ClassVar[str] = "Marlin's examples for M593 are 18.4 and 36.2 Hz; Klipper's default damping ratio is 0.1"
@@ -74,7 +74,7 @@ class RingingConfig(Effect):
     damping: float = setting(0.08, "Damping ratio", minimum=0.005, maximum=0.99)
 
     def __post_init__(self) -> None:
-        Effect.__post_init__(self)
+        BenchEffect.__post_init__(self)
         if len(self.frequency_hz) != 2:
             raise ConfigError(f"frequency_hz = {self.frequency_hz!r}: expected two values, for x and y")
 
@@ -85,7 +85,7 @@ class RingingConfig(Effect):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class BendingConfig(Effect):
+class BendingConfig(BenchEffect):
     """Bending of the stylus while friction holds the ball, until the ball slips part of the way."""
 
     SOURCE: ClassVar[str] = "3 E I / L^3 of a steel stem of 1 mm diameter and 16 mm length; friction is an estimate"
@@ -102,7 +102,7 @@ class BendingConfig(Effect):
     )
 
     def __post_init__(self) -> None:
-        Effect.__post_init__(self)
+        BenchEffect.__post_init__(self)
         if self.sliding_friction > self.static_friction:
             raise ConfigError(
                 f"sliding_friction = {self.sliding_friction:g}: expected at most static_friction "
@@ -111,7 +111,7 @@ class BendingConfig(Effect):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class KnobConfig(Effect):
+class KnobConfig(BenchEffect):
     """Resistance of a knob to turning: its torque against the friction of the ball, and its inertia."""
 
     SOURCE: ClassVar[str] = "datasheets of 11 and 12 mm encoders: 2 to 15 mN m of detent torque"
@@ -127,7 +127,7 @@ class KnobConfig(Effect):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class MountConfig(Effect):
+class MountConfig(BenchEffect):
     """The instrument on four elastic feet: it sinks and tilts under the stylus, and slides when pushed."""
 
     SOURCE: ClassVar[str] = "estimate: 3 kg on rubber feet need 12 to 20 N to slide, 0.5 kg on plastic feet 1 N"
@@ -153,7 +153,7 @@ class MountConfig(Effect):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class GlassConfig(Effect):
+class GlassConfig(BenchEffect):
     """A capacitive screen: the soft tip must be flattened (Hertz) for some scans before a touch counts."""
 
     SOURCE: ClassVar[str] = "Hertz contact; conductive silicone of 40 to 50 Shore A; three scans at 85 Hz (estimate)"

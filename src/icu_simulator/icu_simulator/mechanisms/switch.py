@@ -37,7 +37,7 @@ class SwitchConfig(Config):
             )
 
 
-class StylusSwitch:
+class BenchStylusSwitch:
     """Follows the spring."""
 
     def __init__(self, config: SwitchConfig) -> None:

@@ -17,7 +17,7 @@ from icu_common.nodes.diagnostics import Diagnostics
 from icu_common.nodes.graph_node import CLOCK_TOPIC, GraphNode, this_process
 from icu_common.nodes.messages.heads import time_message
 from icu_common.nodes.parameters import LiveParameters
-from icu_common.nodes.qos import LATCHED, RESULTS
+from icu_common.nodes.qos import LATCHED
 from icu_common.nodes.runtime import interruptible, run
 from icu_common.nodes.timers import every
 from icu_simulator.adapters.bench.simulation import Health, Simulation
@@ -52,7 +52,7 @@ class BenchNode(GraphNode):
     def _step_time(self, config: BenchConfig) -> StepTime:
         if this_process.ledger is None:
             raise ConfigError(f"stepped needs a ledger of steps ({LEDGER_VARIABLE}), which bring_up makes")
-        clocks = [self.create_publisher(Clock, topic, RESULTS) for topic in (CLOCK_TOPIC, IMAGE_CLOCK_TOPIC)]
+        clocks = [self.create_publisher(Clock, topic, LATCHED) for topic in (CLOCK_TOPIC, IMAGE_CLOCK_TOPIC)]
         step, image = (functools.partial(_publish_time, clock) for clock in clocks)
         return StepTime(this_process.ledger, round(1e9 / config.step_rate_hz), step, image)
 

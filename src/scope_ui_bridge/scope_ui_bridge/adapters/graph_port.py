@@ -11,7 +11,7 @@ import numpy.typing as npt
 from scope_ui_bridge.core.effects import Now
 
 
-class GraphError(RuntimeError):
+class GraphUnavailable(RuntimeError):
     """No node of the graph can accept the request; the message is for people."""
 
 
@@ -27,8 +27,8 @@ class GraphPort(Protocol):
         """Return ROS time in ns."""
         ...
 
-    def stop(self, answered: Callable[[bool, str], None]) -> None:
-        """Stop by every available path; never raises.
+    def stop(self, answered: Callable[[bool, str], None], cause: str = ...) -> None:
+        """Stop by every available path, and log the cause; never raises.
 
         ``answered`` is called once, in any thread, when the driver has answered or when there is no driver. A driver
         that hangs causes no call.
@@ -40,23 +40,26 @@ class GraphPort(Protocol):
         ...
 
     def send_command(self, text: str) -> None:
-        """Publish a gesture; GraphError if no controller subscribes."""
+        """Publish a gesture; GraphUnavailable if no controller subscribes."""
         ...
 
     def send_sequence(self, text: str) -> None:
-        """Publish a sequence of gestures; GraphError if no sequencer subscribes."""
+        """Publish a sequence of gestures; GraphUnavailable if no sequencer subscribes."""
         ...
 
     def send_teaching(self, text: str, stamp_ns: int, encoding: str, picture: npt.NDArray[Any]) -> None:
-        """Publish a held image and the points marked in it; GraphError if no node subscribes."""
+        """Publish a held image and the points marked in it; GraphUnavailable if no node subscribes."""
         ...
 
     def send_goal(self, frame: str, point: tuple[float, float], stamp_ns: int) -> None:
-        """Publish a goal in a frame (pixels, or metres with the stylus up); GraphError if no controller subscribes."""
+        """Publish a goal in a frame: pixels, or metres with the stylus up.
+
+        Raises GraphUnavailable if no controller subscribes.
+        """
         ...
 
     def call(self, service: str, answered: Callable[[bool, str], None]) -> None:
-        """Call one of ``core.wire.SERVICES``; GraphError if the service is not available.
+        """Call one of ``core.wire.SERVICES``; GraphUnavailable if the service is not available.
 
         ``answered`` is called once, in any thread.
         """

@@ -18,7 +18,7 @@ from typing import TextIO
 from icu_common.adapters.executables import find_executable
 from icu_common.adapters.real_time import give_up_real_time
 from icu_common.core.reasons.message import Message, joined
-from scope_ui_bridge.adapters.graph_port import GraphError
+from scope_ui_bridge.adapters.graph_port import GraphUnavailable
 
 _LOG = logging.getLogger(__name__)
 _ERROR = "error: "
@@ -76,16 +76,16 @@ class Recorder:
         """User who started the current recording, and its start (monotonic); None if there is none."""
 
     def start(self, answered: Answered, who: str = "") -> None:
-        """Start, and answer with the path once it records; GraphError if it cannot start."""
+        """Start, and answer with the path once it records; GraphUnavailable if it cannot start."""
         if self._folder is None:
-            raise GraphError(Message("record.record_folder_empty_nothing_recorded"))
+            raise GraphUnavailable(Message("record.record_folder_empty_nothing_recorded"))
         with self._change:
             if self._process is not None and self._process.poll() is None:
-                raise GraphError(Message("record.already_recording", output=self._output))
+                raise GraphUnavailable(Message("record.already_recording", output=self._output))
             try:
                 program = self._program or find_executable("icu_bringup", "bag_record", Path(sys.argv[0]))
             except FileNotFoundError as error:
-                raise GraphError(Message("record.bag_record_not_installed_beside")) from error
+                raise GraphUnavailable(Message("record.bag_record_not_installed_beside")) from error
             self._output = self._folder / f"{datetime.now():%Y-%m-%d_%H-%M-%S-%f}"
             command = [str(program), "-o", str(self._output), "--compress", "jpeg", "--exclude", _FOR_VIEWERS]
             command += ["--child-of", str(os.getpid())]  # the next bridge after a killed one has no record of it
@@ -98,18 +98,18 @@ class Recorder:
                 self._process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=errors, text=True)
                 give_up_real_time(self._process.pid)  # it compresses images on all processors
             except OSError as error:
-                raise GraphError(Message("record.cannot_record", output=self._output, error=error)) from error
+                raise GraphUnavailable(Message("record.cannot_record", output=self._output, error=error)) from error
             self._records, self._ended, self._who = False, None, who
             follow = (self._process, self._output, errors, answered)
             threading.Thread(target=self._follow, args=follow, name="recorder", daemon=True).start()
 
     def end(self, answered: Answered) -> None:
-        """End the recording, and answer with its contents once the bag is complete; GraphError if there is none."""
+        """End the recording; answer with its contents once the bag is complete; GraphUnavailable if there is none."""
         with self._change:
             if self._process is None or self._process.poll() is not None:
-                raise GraphError(Message("record.nothing_being_recorded"))
+                raise GraphUnavailable(Message("record.nothing_being_recorded"))
             if self._ended is not None:
-                raise GraphError(Message("record.being_finished_already", output=self._output))
+                raise GraphUnavailable(Message("record.being_finished_already", output=self._output))
             self._ended = answered
             if self._records:
                 self._process.send_signal(signal.SIGINT)

@@ -13,7 +13,7 @@ from typing import Any
 from aiohttp import web
 
 from scope_ui_bridge.adapters.graph_port import GraphPort
-from scope_ui_bridge.core.access import Session
+from scope_ui_bridge.core.access import PageSession
 from scope_ui_bridge.core.desk import Desk
 from scope_ui_bridge.core.effects import Effect, Now, StopNow
 
@@ -45,11 +45,11 @@ class StopPath:
 
     def send(self, stop: StopNow) -> None:
         """Stop the machine by every path, then record it."""
-        self._graph.stop(functools.partial(self._answered, stop.entry))
+        self._graph.stop(functools.partial(self._answered, stop.entry), stop.cause)
         self._write_later(stop.record)
 
     @staticmethod
-    def effects_of(request: web.Request, session: Session, desk: Desk, now: Now) -> list[Effect]:
+    def effects_of(request: web.Request, session: PageSession, desk: Desk, now: Now) -> list[Effect]:
         """Return the effects of a signed-in browser's request to stop."""
         press, sent = request.query.get("press", "")[:_MAX_PRESS], request.query.get("sent", "")
         if sent.isascii() and sent.isdigit() and len(sent) <= _MAX_DIGITS:

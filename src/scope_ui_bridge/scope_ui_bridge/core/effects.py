@@ -6,6 +6,8 @@ import math
 from dataclasses import dataclass, field
 from typing import Any
 
+from icu_common.core.reasons.message import Message
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Now:
@@ -35,7 +37,7 @@ class Now:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Send:
+class SendToViewer:
     """A message for one viewer."""
 
     viewer: str
@@ -57,7 +59,7 @@ class End:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Heartbeat:
+class PublishHeartbeat:
     """Publish the operator's heartbeat to the driver."""
 
 
@@ -70,9 +72,13 @@ class Ping:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StopNow:
-    """Stop, before all other effects; ``record`` is written afterwards. The answer belongs to log entry ``entry``."""
+    """Stop, before all other effects; ``record`` is written afterwards. The answer belongs to log entry ``entry``.
+
+    ``cause`` is the text for the log.
+    """
 
     entry: int
+    cause: Message
     record: dict[str, Any] = field(default_factory=dict)
 
 
@@ -84,7 +90,7 @@ class Record:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Order:
+class MachineOrder:
     """An order that may move the machine; ``record`` is on disk before it is sent.
 
     It is dropped if, before it is sent, the desk has stopped, control has changed, the desk has given the order up, or
@@ -99,21 +105,21 @@ class Order:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SendCommand(Order):
+class SendCommand(MachineOrder):
     """A gesture for /gantry/command."""
 
     text: str
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SendSequence(Order):
+class SendSequence(MachineOrder):
     """A sequence's text for /gantry/sequence."""
 
     text: str
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SendGoal(Order):
+class SendGoal(MachineOrder):
     """A point for /gantry/goal: pixels of the left image, or metres in base_link; ``stamp_ns`` is its id."""
 
     frame: str
@@ -129,17 +135,35 @@ class HoldPicture:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SendTeaching(Order):
+class SendTeaching(MachineOrder):
     """A request to make a panel layout from the points marked in the held image."""
 
     text: str
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class CallService(Order):
+class CallService(MachineOrder):
     """A service of the graph: home, reset, enable, disable, calibrate."""
 
     service: str
 
 
-Effect = Send | Broadcast | End | Heartbeat | Ping | StopNow | Record | Order | HoldPicture
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RepeatOrder:
+    """An order that was sent before, and whose record is on disk; the same events drop it."""
+
+    order: MachineOrder
+
+
+Effect = (
+    SendToViewer
+    | Broadcast
+    | End
+    | PublishHeartbeat
+    | Ping
+    | StopNow
+    | Record
+    | MachineOrder
+    | RepeatOrder
+    | HoldPicture
+)

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from icu_common.core.configuration.config import ConfigError
-from icu_common.core.goals.sequence import Sequence, parse_file
+from icu_common.core.goals.sequence import GestureSequence, parse_file
 from icu_common.core.panel.panel_layout import LayoutError, PanelLayout, load_layout
 from scope_ui_bridge.adapters.secret_files import AuditFile, write_secret
 from scope_ui_bridge.core.config import BridgeConfig
@@ -35,9 +35,9 @@ def open_audit(config: BridgeConfig) -> AuditFile | None:
         raise ConfigError(f"audit_file = {config.audit_file!r}: {error}") from error
 
 
-def read_sequences(config: BridgeConfig, report: Callable[[str], object]) -> dict[str, Sequence]:
+def read_sequences(config: BridgeConfig, report: Callable[[str], object]) -> dict[str, GestureSequence]:
     """Return the stored sequences by name; ``report`` receives what is wrong with the others."""
-    found: dict[str, Sequence] = {}
+    found: dict[str, GestureSequence] = {}
     folder = Path(config.sequence_folder).expanduser()
     for path in sorted(folder.glob("*.yaml")) if config.sequence_folder else ():
         try:

@@ -24,7 +24,7 @@ from icu_common.nodes.messages.cameras import image_message
 from icu_common.nodes.messages.heads import header
 from icu_common.nodes.messages.places import point_message
 from icu_common.nodes.timers import runs_by_clock_topic
-from scope_ui_bridge.adapters.graph_port import GraphError
+from scope_ui_bridge.adapters.graph_port import GraphUnavailable
 
 _SERVICES = {
     "home": "gantry/home",
@@ -66,7 +66,7 @@ class GraphOutlets:
     def ros_ns(self) -> int:
         return int(self._node.get_clock().now().nanoseconds)
 
-    def stop(self, answered: Callable[[bool, str], None]) -> None:
+    def stop(self, answered: Callable[[bool, str], None], cause: str = "stop") -> None:
         stopped = send_stop(
             self._guard, Message("driver.stop_requested")
         )  # first, because it does not need the middleware
@@ -78,37 +78,37 @@ class GraphOutlets:
             answered(True, "")
         elif self._stop_request.get_subscription_count() == 0:
             answered(False, Message("bridge.no_driver_listens"))
-        self._node.get_logger().warning("stop")
+        self._node.get_logger().warning(cause)
 
     def heartbeat(self) -> None:
         self._heartbeat.publish(header(self.ros_ns(), self._node.get_fully_qualified_name()))
 
     def send_command(self, text: str) -> None:
         if self._command.get_subscription_count() == 0:
-            raise GraphError(Message("sequence.no_gantry_controller_listens"))
+            raise GraphUnavailable(Message("sequence.no_gantry_controller_listens"))
         self._command.publish(String(data=text))
 
     def send_sequence(self, text: str) -> None:
         if self._sequence.get_subscription_count() == 0:
-            raise GraphError(Message("bridge.no_sequencer_listens"))
+            raise GraphUnavailable(Message("bridge.no_sequencer_listens"))
         self._sequence.publish(String(data=text))
 
     def send_teaching(self, text: str, stamp_ns: int, encoding: str, picture: npt.NDArray[Any]) -> None:
         if not (self._teach_request.get_subscription_count() and self._teach_picture.get_subscription_count()):
-            raise GraphError(Message("bridge.no_recognition_listens_could_taught"))
+            raise GraphUnavailable(Message("bridge.no_recognition_listens_could_taught"))
         self._teach_picture.publish(image_message(picture, encoding, header(stamp_ns, CAMERA_LEFT)))
         self._teach_request.publish(String(data=text))
 
     def send_goal(self, frame: str, point: tuple[float, float], stamp_ns: int) -> None:
         if self._goal.get_subscription_count() == 0:
-            raise GraphError(Message("sequence.no_gantry_controller_listens"))
+            raise GraphUnavailable(Message("sequence.no_gantry_controller_listens"))
         self._goal.publish(point_message([*point, 0.0], header(stamp_ns, frame)))
 
     def call(self, service: str, answered: Callable[[bool, str], None]) -> None:
         switch = service in ("enable", "disable")
         client = self._enable_service if switch else self._triggers[service]
         if not client.service_is_ready():
-            raise GraphError(Message("bridge.service_not", services=_SERVICES[service]))
+            raise GraphUnavailable(Message("bridge.service_not", services=_SERVICES[service]))
         request = SetBool.Request(data=service == "enable") if switch else Trigger.Request()
 
         def done(future: Any) -> None:

@@ -11,9 +11,9 @@ import pytest
 
 from gantry_driver.acceptance.axes_fit import fit_axes
 from gantry_driver.acceptance.checks import all_checks
-from gantry_driver.acceptance.coverage import View
+from gantry_driver.acceptance.coverage import PanelCoverage
 from gantry_driver.acceptance.limits import AcceptanceLimits, limits_of
-from gantry_driver.acceptance.measured import Beyond, CameraSeen, Measured, Touch, Visit
+from gantry_driver.acceptance.measured import Beyond, CameraSnapshot, Measured, MeasuredTouch, Visit
 from gantry_driver.acceptance.plots import axes_plot, marked_image, touch_plot
 from gantry_driver.acceptance.report import as_html, as_json, line, passed
 from gantry_driver.acceptance.stops import beyond, plan_stops
@@ -37,11 +37,11 @@ def good_machine(axes: np.ndarray | None = None) -> Measured:
     outline_px = np.array([(20.0, 20.0), (180.0, 20.0), (180.0, 100.0), (20.0, 100.0)])
     for name in ("left", "right"):
         image = np.full((120, 200, 3), 128, np.uint8)
-        view = View(outline_px=outline_px, share=1.0, margin_px=19.0)
+        view = PanelCoverage(outline_px=outline_px, share=1.0, margin_px=19.0)
         touch_px = np.array([(50.0, 50.0), (math.nan, math.nan)])
-        measured.cameras.append(CameraSeen(name=name, image=image, view=view, blur_px=0.7, touch_px=touch_px))
+        measured.cameras.append(CameraSnapshot(name=name, image=image, view=view, blur_px=0.7, touch_px=touch_px))
     for x in (0.1, 0.2):
-        measured.touches.append(Touch(point=np.array([x, 0.05]), touched=True, error_m=0.0001, duration_s=3.0))
+        measured.touches.append(MeasuredTouch(point=np.array([x, 0.05]), touched=True, error_m=0.0001, duration_s=3.0))
     return measured
 
 
@@ -74,7 +74,7 @@ def test_each_fault_fails_its_own_check() -> None:
     assert failed_names(machine) == ["camera: right: blur of edges"]
     assert failed_names(machine, "blur_px=3") == []
     machine = good_machine()
-    machine.touches[0] = Touch(point=OUTLINE[0], touched=False, error_m=math.nan, reason="aborted: no contact")
+    machine.touches[0] = MeasuredTouch(point=OUTLINE[0], touched=False, error_m=math.nan, reason="aborted: no contact")
     assert failed_names(machine) == ["touch: points touched"]
     assert "no contact" in line(all_checks(machine, AcceptanceLimits())[-3])
 
@@ -117,7 +117,7 @@ def test_html_needs_no_other_file_and_escapes_names() -> None:
 
 def test_plots_are_valid_and_have_a_mark_for_each_value() -> None:
     machine = good_machine()
-    machine.touches[1] = Touch(point=OUTLINE[2], touched=False, error_m=math.nan, reason="no <contact>")
+    machine.touches[1] = MeasuredTouch(point=OUTLINE[2], touched=False, error_m=math.nan, reason="no <contact>")
     axes, touches = (ET.fromstring(text) for text in (axes_plot(machine), touch_plot(machine, 0.0005)))
     assert len(axes.findall(".//{*}circle")) == 13
     circles = touches.findall(".//{*}circle")

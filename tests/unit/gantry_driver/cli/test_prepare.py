@@ -38,8 +38,8 @@ class Heard:
 def refused(text: str, code: str | None = "") -> str:
     """Return why gantry_prepare gives up with a driver in that state."""
     session: Any = Heard(text, code)
-    with pytest.raises(gantry_prepare.Failed) as error:
-        gantry_prepare._Steps(session, 1.0, growth=1.0).connect()
+    with pytest.raises(gantry_prepare.PreparationFailed) as error:
+        gantry_prepare._PreparationSteps(session, 1.0, growth=1.0).connect()
     return str(error.value)
 
 
@@ -139,7 +139,7 @@ def test_limits_grow_on_a_busy_computer(
 ) -> None:
     session: Any = Waiting(comes_s, monkeypatch)
     meter: Any = Meter(percent)
-    steps = gantry_prepare._Steps(session, 400.0, growth, meter)
+    steps = gantry_prepare._PreparationSteps(session, 400.0, growth, meter)
     assert steps.wait(lambda: None, "no answer") == "came"
     lines = capsys.readouterr().out.splitlines()
     load = "load 9.0 on 2 cores, the robot uses 0 %, other programs 195 %: cc1plus 195 %"
@@ -157,5 +157,5 @@ def test_limits_hold_on_a_free_computer_beyond_the_bound_and_where_a_person_gave
     session: Any = Waiting(comes_s, monkeypatch)
     meter: Any = Meter(percent)
     with pytest.raises(TimedOut, match="no answer"):
-        gantry_prepare._Steps(session, 400.0, growth, meter).wait(lambda: None, "no answer")
+        gantry_prepare._PreparationSteps(session, 400.0, growth, meter).wait(lambda: None, "no answer")
     assert session.now < 1000.0 + comes_s

@@ -62,6 +62,8 @@ def test_a_pose_that_is_not_newer_than_the_last_is_ignored() -> None:
 def test_the_stamp_is_that_of_the_newest_pose_and_nothing_is_left_of_poses_in_doubt() -> None:
     estimate = taken((5, pose(0.045)), (7, pose(0.045)))
     assert estimate.stamp_ns == 7
+    estimate.take(pose(0.045), 9)
+    assert estimate.stamp_ns == 9
     estimate.forget()
     assert estimate.stamp_ns == 0 and plane(estimate) is None
     estimate.take(pose(), 6)
@@ -76,6 +78,17 @@ def test_a_plane_is_told_at_the_middle_of_the_face() -> None:
     x, y, z = leaning.apply(np.array([0.16, 0.07, 0.0]))
     assert found.at_m == pytest.approx((x, y, -z - BALL_M), abs=1e-12)
     assert found.slope == pytest.approx((math.tan(0.1), 0.0), abs=1e-12)
+
+
+def test_a_plane_that_leans_along_both_axes_passes_through_the_middle_of_the_face() -> None:
+    tilt = np.array([[1.0, 0.0, 0.0], [0.0, math.cos(0.2), -math.sin(0.2)], [0.0, math.sin(0.2), math.cos(0.2)]])
+    leaning = Transform(pose(lean=0.1).rotation @ tilt, pose().translation)
+    found = plane(taken((1, leaning), (2, leaning)))
+    assert found is not None
+    x, y, z = leaning.apply(np.array([0.16, 0.07, 0.0]))
+    assert found.at_m == pytest.approx((x, y, -z - BALL_M), abs=1e-12)
+    nx, ny, nz = leaning.rotation[:, 2]
+    assert found.slope == pytest.approx((nx / nz, ny / nz), abs=1e-12)
 
 
 def test_poses_that_do_not_scatter_are_as_sure_as_recognition_and_calibration() -> None:

@@ -12,7 +12,7 @@ from gantry_driver.core.configuration.machine_config import DriverConfig, Stylus
 from gantry_driver.core.envelope.keeper import JUMP_M, Envelope, path_of
 from gantry_driver.core.envelope.plane import FARTHEST_M, MAX_SLOPE, PanelPlane, plane_of
 from gantry_driver.core.envelope.rules import EnvelopeFault
-from gantry_driver.core.grbl.trajectory_gcode import Motion, Move, Order
+from gantry_driver.core.grbl.trajectory_gcode import StraightMove, StylusOrder, TrajectoryMotion
 from icu_common.core.goals.intent import Intent
 
 CONFIG = DriverConfig()
@@ -26,16 +26,16 @@ def at(extension_m: float = FACE_M, sigma_m: float = 1e-4, slope: tuple[float, f
     return PanelPlane(at_m=(0.0, 0.0, extension_m), slope=slope, covariance=(sigma_m**2, 0, 0, 0, 0, 0, 0, 0, 0))
 
 
-def motion(*parts: Move | Order) -> Motion:
-    return Motion(parts=parts, start_mm=HOME_MM, end_mm=HOME_MM, end_m=(0.0, 0.0, 0.0), seconds=1.0)
+def motion(*parts: StraightMove | StylusOrder) -> TrajectoryMotion:
+    return TrajectoryMotion(parts=parts, start_mm=HOME_MM, end_mm=HOME_MM, end_m=(0.0, 0.0, 0.0), seconds=1.0)
 
 
-def move(x_m: float, y_m: float, e_m: float, axes: int = 3) -> Move:
+def move(x_m: float, y_m: float, e_m: float, axes: int = 3) -> StraightMove:
     end_mm = (HOME_MM[0] + 1000 * x_m, HOME_MM[1] + 1000 * y_m, HOME_MM[2] - 1000 * e_m)
     values = {"axes": axes, "end_mm": end_mm}
-    names = {field.name: field for field in dataclasses.fields(Move)}
+    names = {field.name: field for field in dataclasses.fields(StraightMove)}
     rest = {n: 1000.0 for n, f in names.items() if n not in values and f.default is dataclasses.MISSING}
-    return Move(**values, **rest)  # type: ignore[arg-type]
+    return StraightMove(**values, **rest)  # type: ignore[arg-type]
 
 
 def test_the_path_of_a_z_axis_has_all_three_readings() -> None:
@@ -49,7 +49,7 @@ def test_a_move_without_z_keeps_the_extension() -> None:
 
 
 def test_a_servo_s_order_is_its_stroke_where_it_stands() -> None:
-    parts = (move(0.1, 0.1, 0.0, axes=2), Order(down=True), move(0.12, 0.1, 0.0, axes=2), Order(down=False))
+    parts = (move(0.1, 0.1, 0.0, axes=2), StylusOrder(down=True), move(0.12, 0.1, 0.0, axes=2), StylusOrder(down=False))
     path = path_of(motion(*parts), (0.0, 0.0, 0.0), SERVO)
     assert [round(e, 6) for _, _, e in path] == [0.0, 0.0, 0.018, 0.018, 0.0]
     assert path[2][:2] == pytest.approx((0.1, 0.1)) and path[-1][:2] == pytest.approx((0.12, 0.1))
@@ -243,3 +243,9 @@ def test_what_is_no_plane_is_refused_with_its_values(changes: dict[str, object],
 def test_a_plane_cannot_change_in_place() -> None:
     with pytest.raises(dataclasses.FrozenInstanceError):
         PLANE.slope = (0.1, 0.1)  # type: ignore[misc]
+
+
+@pytest.mark.parametrize(("x", "y", "contact_m"), [(0.2, 0.3, 0.03), (0.3, 0.3, 0.04), (0.2, 0.4, 0.01)])
+def test_a_plane_rises_from_its_own_position_along_each_axis(x: float, y: float, contact_m: float) -> None:
+    plane = PanelPlane(at_m=(0.2, 0.3, 0.03), slope=(0.1, -0.2), covariance=9 * (0.0,))
+    assert plane.contact_m(x, y) == pytest.approx(contact_m)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 import pytest
-from parameter_files import CONFIG, parameters
+from support.parameter_files import CONFIG, parameters
 
 from gantry_driver.core.configuration.machine_config import DriverConfig
 from gantry_driver.core.job.controller_config import ControllerConfig

@@ -21,7 +21,7 @@ from unit.gantry_driver.controller_bench import (
 from gantry_driver.core.goals.controller import Controller
 from gantry_driver.core.job import controller_messages as msg
 from gantry_driver.core.job.controller_config import ControllerConfig
-from gantry_driver.core.job.goal_job import LOOKING, MOVING, Phase, Step
+from gantry_driver.core.job.goal_job import LOOKING, MOVING, GoalPhase, PhaseEnd
 from icu_common.core.configuration.config import ConfigError, from_mapping
 from icu_common.core.geometry.geometry import Transform
 from icu_common.core.goals.results import Felt, GoalResult, Outcome
@@ -29,7 +29,7 @@ from icu_common.core.reasons.message import Message, joined
 from icu_common.core.reasons.state_text import because
 
 RUN_STOP = BASE_FROM_PANEL.apply([0.208, 0.127, 0.003])
-PRESS_PHASES = [Phase.APPROACH, Phase.LOOK, Phase.TOUCH, Phase.CONTACT, Phase.LIFT]
+PRESS_PHASES = [GoalPhase.APPROACH, GoalPhase.LOOK, GoalPhase.TOUCH, GoalPhase.CONTACT, GoalPhase.LIFT]
 
 
 def outcomes(bench: Bench) -> list[Outcome]:
@@ -148,8 +148,8 @@ def test_points_on_panel_and_picture_are_pressed(goal: tuple[str, float, float])
 def test_hold_stays_down_for_its_time() -> None:
     bench = Bench().start()
     down = []
-    bench.on_phase[Phase.CONTACT] = lambda b: down.append(b.now_ns)
-    bench.on_phase[Phase.LIFT] = lambda b: down.append(b.now_ns)
+    bench.on_phase[GoalPhase.CONTACT] = lambda b: down.append(b.now_ns)
+    bench.on_phase[GoalPhase.LIFT] = lambda b: down.append(b.now_ns)
     assert bench.do("hold:SCREEN:2.5").outcome is Outcome.REACHED
     assert 2.5 <= (down[1] - down[0]) / 1e9 <= 2.5 + 0.05
 
@@ -157,8 +157,8 @@ def test_hold_stays_down_for_its_time() -> None:
 def test_press_stays_down_for_its_time() -> None:
     bench = Bench().start()
     down = []
-    bench.on_phase[Phase.CONTACT] = lambda b: down.append(b.now_ns)
-    bench.on_phase[Phase.LIFT] = lambda b: down.append(b.now_ns)
+    bench.on_phase[GoalPhase.CONTACT] = lambda b: down.append(b.now_ns)
+    bench.on_phase[GoalPhase.LIFT] = lambda b: down.append(b.now_ns)
     assert bench.do("press:RUN_STOP").outcome is Outcome.REACHED
     assert 0.3 <= (down[1] - down[0]) / 1e9 <= 0.35
 
@@ -208,9 +208,9 @@ def test_tips_from_before_the_standstill_do_not_count() -> None:
         seen_after.append(b.controller.phase)
         b.talking.add("tip")
 
-    bench.on_phase[Phase.LOOK] = stale
+    bench.on_phase[GoalPhase.LOOK] = stale
     result = bench.do("press:RUN_STOP")
-    assert seen_after == [Phase.LOOK]
+    assert seen_after == [GoalPhase.LOOK]
     assert result.outcome is Outcome.REACHED and dict(result.details)["corrections"] == "0"
 
 
@@ -221,7 +221,7 @@ def rejected(bench: Bench, result: GoalResult, *words: str) -> None:
     assert result.outcome is Outcome.REJECTED, result
     for word in words:
         assert word in result.reason, result.reason
-    assert bench.paths == [] and bench.controller.phase is Phase.IDLE
+    assert bench.paths == [] and bench.controller.phase is GoalPhase.IDLE
     assert math.isnan(result.error_m)
 
 
@@ -453,7 +453,7 @@ def stylus_is_up(bench: Bench) -> None:
 @pytest.mark.parametrize(
     "state", ["stopped: by hand", "alarm: 1 hard limit", "disconnected: unplugged", "mismatch: $100", "unhomed"]
 )
-def test_driver_fault_in_every_phase(phase: Phase, state: str) -> None:
+def test_driver_fault_in_every_phase(phase: GoalPhase, state: str) -> None:
     bench = Bench().start()
 
     def fail(b: Bench) -> None:
@@ -468,8 +468,8 @@ def test_driver_fault_in_every_phase(phase: Phase, state: str) -> None:
 
 
 @pytest.mark.parametrize("outcome", [Outcome.REJECTED, Outcome.ABORTED])
-@pytest.mark.parametrize("phase", [Phase.APPROACH, Phase.TOUCH, Phase.LIFT])
-def test_trajectory_refused_or_broken_off(phase: Phase, outcome: Outcome) -> None:
+@pytest.mark.parametrize("phase", [GoalPhase.APPROACH, GoalPhase.TOUCH, GoalPhase.LIFT])
+def test_trajectory_refused_or_broken_off(phase: GoalPhase, outcome: Outcome) -> None:
     bench = Bench().start()
 
     def fail(b: Bench) -> None:
@@ -480,8 +480,8 @@ def test_trajectory_refused_or_broken_off(phase: Phase, outcome: Outcome) -> Non
 
 
 @pytest.mark.parametrize(("outcome", "stops"), [(Outcome.REJECTED, 1), (Outcome.ABORTED, 0)])
-@pytest.mark.parametrize("phase", [Phase.TOUCH, Phase.LIFT])
-def test_a_refused_motion_does_not_leave_the_stylus_down(phase: Phase, outcome: Outcome, stops: int) -> None:
+@pytest.mark.parametrize("phase", [GoalPhase.TOUCH, GoalPhase.LIFT])
+def test_a_refused_motion_does_not_leave_the_stylus_down(phase: GoalPhase, outcome: Outcome, stops: int) -> None:
     """A driver that breaks a motion off lifts by itself."""
     bench = Bench().start()
 
@@ -501,7 +501,7 @@ def test_a_motion_that_ends_elsewhere_with_the_stylus_down_is_a_stop() -> None:
         b.readings = np.array([*b.readings[:2], 0.02])
         b._answer(action, Outcome.REACHED)
 
-    bench.on_phase[Phase.LIFT] = claim
+    bench.on_phase[GoalPhase.LIFT] = claim
     result = bench.do("press:RUN_STOP")
     aborted(bench, result, "mm off its target (limit 0.2 mm)", "ordered a stop")
     assert bench.stops == 1
@@ -514,14 +514,14 @@ def test_what_is_not_corrected_must_be_good_enough_to_touch() -> None:
 
 def test_hidden_tip() -> None:
     bench = Bench().start()
-    bench.on_phase[Phase.LOOK] = silence("tip")
+    bench.on_phase[GoalPhase.LOOK] = silence("tip")
     aborted(bench, bench.do("press:RUN_STOP"), "the cameras saw the tip 0 times (at least 4 times", "the stylus is up")
     stylus_is_up(bench)
     assert min(z for _, _, z in bench.lowest) >= RUN_STOP[2] + 0.009
 
 
-@pytest.mark.parametrize("phase", [Phase.TOUCH, Phase.CONTACT])
-def test_a_long_contact_ends_when_the_stylus_tracker_falls_silent(phase: Phase) -> None:
+@pytest.mark.parametrize("phase", [GoalPhase.TOUCH, GoalPhase.CONTACT])
+def test_a_long_contact_ends_when_the_stylus_tracker_falls_silent(phase: GoalPhase) -> None:
     bench = Bench().start()
     moments: list[int] = []
 
@@ -530,7 +530,7 @@ def test_a_long_contact_ends_when_the_stylus_tracker_falls_silent(phase: Phase) 
         b.talking -= {"tip", "tracker"}
 
     bench.on_phase[phase] = silence_tracker
-    bench.on_phase[Phase.BREAK_OFF] = lambda b: moments.append(b.now_ns)
+    bench.on_phase[GoalPhase.BREAK_OFF] = lambda b: moments.append(b.now_ns)
     result = bench.do("hold:SCREEN:6")
     aborted(bench, result, "touched, but not measured: no image that the stylus tracker has evaluated for 1.", "is up")
     stylus_is_up(bench)
@@ -543,7 +543,7 @@ def test_a_long_contact_ends_when_the_stylus_tracker_falls_silent(phase: Phase) 
 def test_hidden_contact(command: str, silent: str) -> None:
     bench = Bench().start()
     down = contact_times(bench)
-    bench.on_phase[Phase.CONTACT] = lambda b: (down.append(b.now_ns), b.talking.discard(silent))
+    bench.on_phase[GoalPhase.CONTACT] = lambda b: (down.append(b.now_ns), b.talking.discard(silent))
     result = bench.do(command)
     stalled = silent == "camera" and not command.startswith("press")
     words = (
@@ -562,7 +562,7 @@ def test_hidden_contact(command: str, silent: str) -> None:
 def contact_times(bench: Bench) -> list[int]:
     """Return a list that the times of the end of the touch will be appended to."""
     times: list[int] = []
-    bench.on_phase[Phase.LIFT] = lambda b: times.append(b.now_ns)
+    bench.on_phase[GoalPhase.LIFT] = lambda b: times.append(b.now_ns)
     return times
 
 
@@ -583,7 +583,7 @@ def test_a_press_is_short_and_its_late_pictures_count() -> None:
             seen = RUN_STOP + [offset, 0.0, 0.001]
             b.tell(msg.TipSeen(in_camera=CAMERA_FROM_BASE.apply(seen), stamp_ns=stamp))
 
-    bench.on_phase[Phase.CONTACT], bench.on_phase[Phase.MEASURE] = late, arrive
+    bench.on_phase[GoalPhase.CONTACT], bench.on_phase[GoalPhase.MEASURE] = late, arrive
     result = bench.do("press:RUN_STOP")
     assert result.outcome is Outcome.REACHED
     # Three are needed; the stylus is already up when they come.
@@ -609,8 +609,8 @@ def test_jumping_tip_is_not_averaged() -> None:
     stylus_is_up(bench)
 
 
-@pytest.mark.parametrize(("phase", "limit_s"), [(Phase.APPROACH, 4), (Phase.LOOK, 4), (Phase.TOUCH, 1)])
-def test_stalled_camera_in_every_phase(phase: Phase, limit_s: int) -> None:
+@pytest.mark.parametrize(("phase", "limit_s"), [(GoalPhase.APPROACH, 4), (GoalPhase.LOOK, 4), (GoalPhase.TOUCH, 1)])
+def test_stalled_camera_in_every_phase(phase: GoalPhase, limit_s: int) -> None:
     bench = Bench().start()
     bench.on_phase[phase] = silence("camera")
     words = "the camera has stalled", f"no picture for {limit_s}.0 s", "the stylus is up"
@@ -620,21 +620,23 @@ def test_stalled_camera_in_every_phase(phase: Phase, limit_s: int) -> None:
 
 def test_stalled_camera_does_not_stop_a_move() -> None:
     bench = Bench().start()
-    bench.on_phase[Phase.MOVE] = silence("camera")
+    bench.on_phase[GoalPhase.MOVE] = silence("camera")
     assert bench.go(0.3, 0.2).outcome is Outcome.REACHED
 
 
-@pytest.mark.parametrize("phase", [Phase.APPROACH, Phase.LOOK, Phase.CONTACT])
-def test_moved_panel_while_in_the_air_or_still(phase: Phase) -> None:
+@pytest.mark.parametrize("phase", [GoalPhase.APPROACH, GoalPhase.LOOK, GoalPhase.CONTACT])
+def test_moved_panel_while_in_the_air_or_still(phase: GoalPhase) -> None:
     bench = Bench().start()
     bench.on_phase[phase] = shift_panel
     aborted(bench, bench.do("press:RUN_STOP"), "the panel has moved by 3.0 mm", "1.5 mm", "the stylus is up")
     stylus_is_up(bench)
-    assert min(z for _, _, z in bench.lowest) >= (RUN_STOP[2] + 0.009 if phase is not Phase.CONTACT else -1)
+    assert min(z for _, _, z in bench.lowest) >= (RUN_STOP[2] + 0.009 if phase is not GoalPhase.CONTACT else -1)
 
 
-@pytest.mark.parametrize(("phase", "command"), [(Phase.TOUCH, "press:RUN_STOP"), (Phase.TURN, "turn:CH1_SCALE:90")])
-def test_moved_panel_while_pushing_stops_at_once(phase: Phase, command: str) -> None:
+@pytest.mark.parametrize(
+    ("phase", "command"), [(GoalPhase.TOUCH, "press:RUN_STOP"), (GoalPhase.TURN, "turn:CH1_SCALE:90")]
+)
+def test_moved_panel_while_pushing_stops_at_once(phase: GoalPhase, command: str) -> None:
     bench = Bench().start()
     bench.on_phase[phase] = shift_panel
     aborted(bench, bench.do(command), "the panel has moved by 3.0 mm", "ordered a stop")
@@ -644,12 +646,12 @@ def test_moved_panel_while_pushing_stops_at_once(phase: Phase, command: str) -> 
 def test_moved_panel_stops_at_once_also_a_stylus_that_is_to_go_up_for_another_reason_at_the_end_of_its_way() -> None:
     """The camera stalls while something is drawn, and shows a panel that has moved when it is back."""
     bench = Bench().start()
-    bench.on_phase[Phase.TURN] = silence("camera")
+    bench.on_phase[GoalPhase.TURN] = silence("camera")
     bench.tell(msg.Command(text="drag:0.02,0.06@panel_link:0.18,0.06@panel_link"))
-    while bench.controller.phase is not Phase.TURN:
+    while bench.controller.phase is not GoalPhase.TURN:
         bench.run(0.02)
     bench.run(1.3)
-    assert bench.controller.phase is Phase.TURN and bench.stops == 0
+    assert bench.controller.phase is GoalPhase.TURN and bench.stops == 0
     bench.talking.add("camera")
     shift_panel(bench)
     cause = "the camera has stalled: no image for 1.0 s; then the panel has moved by 3.0 mm"
@@ -672,8 +674,8 @@ def test_panel_in_doubt_refuses_every_goal_until_the_alarm_ends() -> None:
     assert bench.do("press:RUN_STOP").outcome is Outcome.REACHED
 
 
-@pytest.mark.parametrize("phase", [Phase.APPROACH, Phase.LOOK, Phase.CONTACT])
-def test_panel_in_doubt_ends_a_touch(phase: Phase) -> None:
+@pytest.mark.parametrize("phase", [GoalPhase.APPROACH, GoalPhase.LOOK, GoalPhase.CONTACT])
+def test_panel_in_doubt_ends_a_touch(phase: GoalPhase) -> None:
     bench = Bench().start()
     bench.on_phase[phase] = lambda b: b.tell(msg.PanelAlarm(text=ALARM))
     aborted(bench, bench.do("press:RUN_STOP"), ALARM)
@@ -683,31 +685,31 @@ def test_panel_in_doubt_ends_a_touch(phase: Phase) -> None:
 @pytest.mark.parametrize(
     ("phase", "command"),
     [
-        (Phase.TOUCH, "press:RUN_STOP"),
-        (Phase.TURN, "turn:CH1_SCALE:90"),
-        (Phase.TURN, "drag:0.05,0.06@panel_link:0.15,0.06@panel_link"),
+        (GoalPhase.TOUCH, "press:RUN_STOP"),
+        (GoalPhase.TURN, "turn:CH1_SCALE:90"),
+        (GoalPhase.TURN, "drag:0.05,0.06@panel_link:0.15,0.06@panel_link"),
     ],
 )
 @pytest.mark.parametrize("calibrated", [False, True])
 def test_panel_or_calibration_in_doubt_while_pushing_stops_at_once(
-    calibrated: bool, phase: Phase, command: str
+    calibrated: bool, phase: GoalPhase, command: str
 ) -> None:
     """The stylus pressed first, or drew to the end, what was known not to be there, and only then went up."""
     bench = Bench().start()
     bench.on_phase[phase] = lambda b: b.tell(msg.PanelAlarm(text=ALARM) if calibrated else WITHDRAWN)
     aborted(bench, bench.do(command), ALARM if calibrated else "the calibration is no longer valid", "ordered a stop")
     assert bench.stops == 1 and bench.controller.state == "stopped: on request"
-    assert len(bench.paths) == {Phase.TOUCH: 2, Phase.TURN: 3}[phase], "the driver lifts"
+    assert len(bench.paths) == {GoalPhase.TOUCH: 2, GoalPhase.TURN: 3}[phase], "the driver lifts"
 
 
-@pytest.mark.parametrize("phase", [Phase.APPROACH, Phase.LOOK, Phase.CONTACT])
-def test_a_calibration_that_is_withdrawn_ends_a_touch(phase: Phase) -> None:
+@pytest.mark.parametrize("phase", [GoalPhase.APPROACH, GoalPhase.LOOK, GoalPhase.CONTACT])
+def test_a_calibration_that_is_withdrawn_ends_a_touch(phase: GoalPhase) -> None:
     """It was touched, measured and answered `reached` by a calibration that was known not to fit."""
     bench = Bench().start()
     bench.on_phase[phase] = lambda b: b.tell(WITHDRAWN)
     aborted(bench, bench.do("press:RUN_STOP"), "the calibration is no longer valid", "the stylus is up")
     stylus_is_up(bench)
-    assert min(z for _, _, z in bench.lowest) >= (RUN_STOP[2] + 0.009 if phase is not Phase.CONTACT else -1)
+    assert min(z for _, _, z in bench.lowest) >= (RUN_STOP[2] + 0.009 if phase is not GoalPhase.CONTACT else -1)
 
 
 def test_small_shift_and_dip_of_confidence_are_tolerated() -> None:
@@ -723,12 +725,12 @@ def test_small_shift_and_dip_of_confidence_are_tolerated() -> None:
         t = CAMERA_FROM_PANEL
         b.camera_from_panel = Transform(t.rotation, t.translation + [0.001, 0.0, 0.0])
 
-    bench.on_phase[Phase.LOOK], bench.on_phase[Phase.TOUCH] = dip, small
+    bench.on_phase[GoalPhase.LOOK], bench.on_phase[GoalPhase.TOUCH] = dip, small
     assert bench.do("press:RUN_STOP").outcome is Outcome.REACHED
 
 
-@pytest.mark.parametrize("phase", [Phase.APPROACH, Phase.LOOK, Phase.CONTACT])
-def test_lost_operator(phase: Phase) -> None:
+@pytest.mark.parametrize("phase", [GoalPhase.APPROACH, GoalPhase.LOOK, GoalPhase.CONTACT])
+def test_lost_operator(phase: GoalPhase) -> None:
     bench = Bench().start()
     bench.on_phase[phase] = silence("heartbeat")
     result = bench.do("hold:RUN_STOP:3")
@@ -738,12 +740,12 @@ def test_lost_operator(phase: Phase) -> None:
 
 def test_lost_operator_and_a_driver_that_holds_by_itself() -> None:
     bench = Bench().start()
-    bench.on_phase[Phase.LIFT] = silence("heartbeat")
+    bench.on_phase[GoalPhase.LIFT] = silence("heartbeat")
 
     def hold(b: Bench) -> None:
         b.talking.discard("heartbeat")
 
-    bench.on_phase[Phase.APPROACH] = hold
+    bench.on_phase[GoalPhase.APPROACH] = hold
     bench.tell(msg.Command(text="press:RUN_STOP"))
     bench.run(0.9)
     bench._motion = None
@@ -751,16 +753,16 @@ def test_lost_operator_and_a_driver_that_holds_by_itself() -> None:
     aborted(bench, bench.finals[-1], "lost the operator", "then the driver is 'stopped: operator's heartbeat lost'")
 
 
-@pytest.mark.parametrize("phase", [Phase.APPROACH, Phase.TOUCH])
-def test_silent_driver(phase: Phase) -> None:
+@pytest.mark.parametrize("phase", [GoalPhase.APPROACH, GoalPhase.TOUCH])
+def test_silent_driver(phase: GoalPhase) -> None:
     bench = Bench().start()
     bench.on_phase[phase] = silence("joints")
     aborted(bench, bench.do("press:RUN_STOP"), "no joint_states for 1.0 s", "ordered a stop")
     assert bench.stops == 1
 
 
-@pytest.mark.parametrize("phase", [Phase.APPROACH, Phase.TOUCH, Phase.LIFT])
-def test_no_result_of_the_motion(phase: Phase) -> None:
+@pytest.mark.parametrize("phase", [GoalPhase.APPROACH, GoalPhase.TOUCH, GoalPhase.LIFT])
+def test_no_result_of_the_motion(phase: GoalPhase) -> None:
     bench = Bench().start()
     bench.on_phase[phase] = silence("driver")
     aborted(bench, bench.do("press:RUN_STOP"), "no result of the motion from the driver for", "ordered a stop")
@@ -774,7 +776,7 @@ def test_driver_that_claims_to_have_arrived() -> None:
         action = next(a for a in reversed(b.actions) if isinstance(a, msg.SendTrajectory))
         b._answer(action, Outcome.REACHED)
 
-    bench.on_phase[Phase.APPROACH] = answer_at_once
+    bench.on_phase[GoalPhase.APPROACH] = answer_at_once
     bench.tell(msg.Command(text="press:RUN_STOP"))
     answer_at_once(bench)
     bench.run(0.3)
@@ -787,7 +789,7 @@ def test_results_of_other_trajectories_are_not_ours() -> None:
     bench.run(0.1)
     for outcome in (Outcome.REACHED, Outcome.ABORTED):
         bench.tell(msg.MotionResult(result=GoalResult(goal_id="12345", goal="", outcome=outcome)))
-    assert bench.controller.phase is Phase.APPROACH
+    assert bench.controller.phase is GoalPhase.APPROACH
     assert bench.run_goal().outcome is Outcome.REACHED
 
 
@@ -829,9 +831,9 @@ def test_error_that_corrections_do_not_cure() -> None:
     def slip(b: Bench) -> None:
         # A loose carriage: each correction is followed by a new error.
         b.tip_offset = np.array([0.001 if b.tip_offset[0] <= 0 else -0.001, 0.0, 0.0])
-        b.on_phase[Phase.LOOK] = slip
+        b.on_phase[GoalPhase.LOOK] = slip
 
-    bench.on_phase[Phase.LOOK] = slip
+    bench.on_phase[GoalPhase.LOOK] = slip
     aborted(bench, bench.do("press:RUN_STOP"), "after 3 corrections", "(limit 0.5 mm)", "the stylus is up")
     stylus_is_up(bench)
     assert min(z for _, _, z in bench.lowest) >= RUN_STOP[2] + 0.009
@@ -843,7 +845,7 @@ def test_a_touch_beside_the_target_is_not_called_reached() -> None:
     def bend(b: Bench) -> None:
         b.tip_offset = np.array([0.0, 0.0007, 0.0])
 
-    bench.on_phase[Phase.CONTACT] = bend
+    bench.on_phase[GoalPhase.CONTACT] = bend
     result = bench.do("press:RUN_STOP")
     aborted(bench, result, "touched 0.70 mm off the target (limit 0.5 mm)", "the stylus is up")
     assert result.error_m == pytest.approx(0.0007, abs=1e-5)  # the surface that stops the ball leans
@@ -859,7 +861,7 @@ def test_a_tip_that_is_seen_in_the_air_has_not_touched(command: str) -> None:
         hovering.append(b.tip_in_base()[2])
         b.tip_seen_in_base = lambda: np.array([*b.tip_in_base()[:2], hovering[0]])  # type: ignore[method-assign]
 
-    bench.on_phase[Phase.TOUCH] = stick
+    bench.on_phase[GoalPhase.TOUCH] = stick
     result = bench.do(command)
     sent = len(bench.paths)
     words = "the tip was 8.0 mm above the surface when it should touch (limit 3 mm)"
@@ -878,16 +880,16 @@ GONE_DOWN = "the stylus had already touched: check the panel before you try agai
         (lambda b: b._say_driver("stopped: by hand"), "no further motion"),
     ],
 )
-@pytest.mark.parametrize("phase", [Phase.APPROACH, Phase.CONTACT])
+@pytest.mark.parametrize("phase", [GoalPhase.APPROACH, GoalPhase.CONTACT])
 def test_who_is_told_that_a_press_was_broken_off_is_told_that_it_may_have_acted(
-    phase: Phase, fault: Callable[[Bench], None], end: str
+    phase: GoalPhase, fault: Callable[[Bench], None], end: str
 ) -> None:
     bench = Bench().start()
     bench.on_phase[phase] = fault
     result = bench.do("hold:RUN_STOP:2")
     assert result.outcome is Outcome.ABORTED and end in result.reason
     # First, as where there is little room only the beginning is read.
-    assert result.reason.startswith(f"{GONE_DOWN}; ") is (phase is Phase.CONTACT), result.reason
+    assert result.reason.startswith(f"{GONE_DOWN}; ") is (phase is GoalPhase.CONTACT), result.reason
 
 
 def test_correction_that_leaves_the_table() -> None:
@@ -908,7 +910,7 @@ def test_clock_that_jumps_back_stops_everything() -> None:
     bench.tell(msg.Tick())
     result = bench.finals[-1]
     assert result.outcome is Outcome.ABORTED and "the clock jumped back by 3600.0 s" in result.reason
-    assert bench.stops == 1 and bench.controller.phase is Phase.IDLE
+    assert bench.stops == 1 and bench.controller.phase is GoalPhase.IDLE
     # Data that was fresh before the jump is not fresh any more.
     bench.tell(msg.DriverState(text="idle"))
     bench.tell(msg.Joints(readings=np.zeros(3)))
@@ -927,7 +929,7 @@ def test_a_pose_from_before_a_clock_that_jumped_back_is_not_believed_after_it() 
     for event in (
         msg.DriverState(text="idle"),
         msg.Joints(readings=np.zeros(3)),
-        msg.Heartbeat(),
+        msg.OperatorHeartbeat(),
         msg.CameraSeen(camera=CAMERA, stamp_ns=bench.now_ns),
         msg.Tick(),
     ):
@@ -961,21 +963,23 @@ def test_shutdown_stops_a_goal_in_work() -> None:
     bench = Bench().start()
     bench.tell(msg.Command(text="press:RUN_STOP"))
     actions = bench.controller.close(bench.now_ns)
-    assert [type(a) for a in actions] == [msg.CallStop, msg.PublishResult, msg.SetState]
+    assert [type(a) for a in actions] == [msg.CallStop, msg.PublishResult, msg.PublishState]
     assert isinstance(actions[1], msg.PublishResult) and "shutting down" in actions[1].result.reason
     assert bench.controller.handle(msg.Command(text="press:RUN_STOP"), bench.now_ns) == []
     idle = Bench().start()
-    assert [type(a) for a in idle.controller.close(idle.now_ns)] == [msg.SetState]
+    assert [type(a) for a in idle.controller.close(idle.now_ns)] == [msg.PublishState]
 
 
 # --- the table and the configuration --------------------------------------------------------------------------------
 
 
 def test_the_table_has_an_entry_for_every_end_of_every_phase() -> None:
-    seeing = {*LOOKING, Phase.SIGHT, Phase.WAIT, Phase.READ}
-    expected = {(p, Step.ARRIVED) for p in MOVING} | {(p, s) for p in seeing for s in (Step.SEEN, Step.UNSEEN)}
+    seeing = {*LOOKING, GoalPhase.SIGHT, GoalPhase.WAIT, GoalPhase.READ}
+    expected = {(p, PhaseEnd.ARRIVED) for p in MOVING} | {
+        (p, s) for p in seeing for s in (PhaseEnd.SEEN, PhaseEnd.UNSEEN)
+    }
     assert set(Controller._NEXT) == expected
-    assert set(MOVING) | seeing | {Phase.IDLE} == set(Phase)
+    assert set(MOVING) | seeing | {GoalPhase.IDLE} == set(GoalPhase)
 
 
 def test_axes_far_from_the_identity_are_no_calibration() -> None:
@@ -1030,7 +1034,7 @@ def test_a_stylus_that_a_lost_driver_has_left_down_is_told_until_it_is_up(driver
         b._motion = None
         b.talking -= {"joints"}  # the position is not known any more, and a new one has none
 
-    bench.on_phase[Phase.CONTACT] = die
+    bench.on_phase[GoalPhase.CONTACT] = die
     assert bench.do("hold:RUN_STOP:5").outcome is Outcome.ABORTED
     bench._say_driver(driver)
     left = f"{1000 * bench.readings[2]:.1f}"
@@ -1134,7 +1138,7 @@ def test_the_stylus_is_lifted_where_it_stands_also_when_that_lies_outside_the_li
         if end == "after a fault":
             b.talking.discard("heartbeat")
 
-    bench.on_phase[Phase.CONTACT] = narrow
+    bench.on_phase[GoalPhase.CONTACT] = narrow
     result = bench.do("press:RUN_STOP" if end == "after the contact" else "hold:RUN_STOP:5")
     assert result.outcome is (Outcome.REACHED if end == "after the contact" else Outcome.ABORTED)
     np.testing.assert_allclose(bench.paths[-1], [[*RUN_STOP[:2], 0.0]], atol=1e-9)
@@ -1152,7 +1156,7 @@ def test_after_an_error_nothing_is_sent_any_more_and_what_was_answered_stays_ans
         Outcome.ACCEPTED, Outcome.ABORTED,
     ]  # fmt: skip
     assert isinstance(actions[0], msg.CallStop) and not any(isinstance(a, msg.SendTrajectory) for a in actions)
-    assert actions[-1] == msg.SetState(text="stopped: error in the controller: x")
+    assert actions[-1] == msg.PublishState(text="stopped: error in the controller: x")
     assert controller.handle(msg.Tick(), bench.now_ns) == controller.close(bench.now_ns) == []
     assert controller.fail("again", bench.now_ns) == []
 
@@ -1162,12 +1166,12 @@ def test_operator_is_lost_by_the_wall_clock_and_nothing_else_is() -> None:
     bench = Bench().start()
     bench.talking.discard("heartbeat")
     controller, wall_ns = bench.controller, 5 * 10**9
-    controller.handle(msg.Heartbeat(), bench.now_ns, wall_ns)
+    controller.handle(msg.OperatorHeartbeat(), bench.now_ns, wall_ns)
     for late_ms in range(50, 550, 50):
         controller.handle(msg.Tick(), bench.now_ns, wall_ns + late_ms * 1_000_000)
     assert controller.state == "ready"
     for late_ms in range(550, 750, 50):  # a longer pause between two ticks would be the controller's own
         controller.handle(msg.Tick(), bench.now_ns, wall_ns + late_ms * 1_000_000)
     assert controller.state == "waiting: no operator (heartbeat)"
-    controller.handle(msg.Heartbeat(), bench.now_ns, wall_ns + 700_000_000)
+    controller.handle(msg.OperatorHeartbeat(), bench.now_ns, wall_ns + 700_000_000)
     assert controller.state == "ready"

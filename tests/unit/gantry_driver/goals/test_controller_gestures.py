@@ -10,7 +10,7 @@ import pytest
 from unit.gantry_driver.controller_bench import BASE_FROM_PANEL, BUTTON_Z, MS, PANEL, Bench, config, details
 
 from gantry_driver.core.job import controller_messages as msg
-from gantry_driver.core.job.goal_job import Phase
+from gantry_driver.core.job.goal_job import GoalPhase
 from icu_common.core.configuration.config import ConfigError
 from icu_common.core.goals.results import Outcome
 from icu_common.core.panel.panel_layout import Dimple
@@ -44,8 +44,8 @@ def test_double_press_touches_twice_within_half_a_second() -> None:
 def test_long_press_stays_for_its_time() -> None:
     bench = Bench().start()
     times = {}
-    bench.on_phase[Phase.CONTACT] = lambda b: times.setdefault("down", b.now_ns)
-    bench.on_phase[Phase.LIFT] = lambda b: times.setdefault("up", b.now_ns)
+    bench.on_phase[GoalPhase.CONTACT] = lambda b: times.setdefault("down", b.now_ns)
+    bench.on_phase[GoalPhase.LIFT] = lambda b: times.setdefault("up", b.now_ns)
     assert bench.do("long:RUN_STOP").outcome is Outcome.REACHED
     assert 1.5 <= (times["up"] - times["down"]) / 1e9 <= 1.6
 
@@ -138,7 +138,7 @@ def test_a_knob_under_the_stylus_that_shows_no_marker_from_aside_is_turned_once(
     assert bench.do("press:CH1_SCALE").outcome is Outcome.REACHED
     bench.run(0.5)
     turned: list[int] = []
-    bench.on_phase[Phase.TURN] = lambda b: turned.append(b.now_ns)
+    bench.on_phase[GoalPhase.TURN] = lambda b: turned.append(b.now_ns)
     result = bench.do("turn:CH1_SCALE:30")
     assert result.outcome is Outcome.REACHED and details(result)["turns"] == "1" and len(turned) == 1, result
     assert details(result)["effect"] == "not looked for" and details(result)["knob_deg"] == "nan"
@@ -201,9 +201,9 @@ def test_a_long_turn_that_slips_is_not_made_backwards(command: str, way: float) 
         assert job is not None and job.knob is not None
         ways.append(job.knob.way_deg)
         b.knob_slips = float(len(ways) == 1)
-        b.on_phase[Phase.TURN] = turns
+        b.on_phase[GoalPhase.TURN] = turns
 
-    bench.on_phase[Phase.TURN] = turns
+    bench.on_phase[GoalPhase.TURN] = turns
     result = bench.do(command)
     assert result.outcome is Outcome.REACHED, result
     assert all(part * way > 0 and abs(part) < 180 for part in ways), ways
@@ -213,7 +213,7 @@ def test_a_long_turn_that_slips_is_not_made_backwards(command: str, way: float) 
 
 def test_a_marker_that_stays_unseen_is_a_failure() -> None:
     bench = seeing()
-    bench.on_phase[Phase.TURN] = lambda b: b.hidden.update(CH1_SCALE="stylus")
+    bench.on_phase[GoalPhase.TURN] = lambda b: b.hidden.update(CH1_SCALE="stylus")
     result = bench.do("turn:CH1_SCALE:30")
     assert (
         result.outcome is Outcome.ABORTED
@@ -223,11 +223,11 @@ def test_a_marker_that_stays_unseen_is_a_failure() -> None:
 
 def test_the_effect_is_reported_and_can_be_required() -> None:
     bench = seeing()
-    bench.on_phase[Phase.CONTACT] = lambda b: setattr(b, "lamp", "red")
+    bench.on_phase[GoalPhase.CONTACT] = lambda b: setattr(b, "lamp", "red")
     assert details(bench.do("press:RUN_STOP"))["effect"] == "lamp green -> red"
     result = bench.do("press:RUN_STOP")
     assert details(result)["effect"] == "none seen" and details(result)["effect_missing"] == "none"
-    bench.on_phase[Phase.LIFT] = lambda b: setattr(b, "screen_changed_ns", b.now_ns)
+    bench.on_phase[GoalPhase.LIFT] = lambda b: setattr(b, "screen_changed_ns", b.now_ns)
     assert details(bench.do("press:SINGLE"))["effect"] == "screen changed"
     strict = seeing(require_effect=True)
     result = strict.do("press:RUN_STOP")
@@ -237,12 +237,12 @@ def test_the_effect_is_reported_and_can_be_required() -> None:
 def test_a_lamp_that_the_raised_stylus_still_hides_is_read_from_aside() -> None:
     for lamp, effect in (("red", "lamp green -> red"), ("green", "none seen")):
         bench = seeing()
-        bench.on_phase[Phase.TOUCH] = lambda b: b.hidden.update(RUN_STOP="stylus")
-        bench.on_phase[Phase.CONTACT] = lambda b, lamp=lamp: setattr(b, "lamp", lamp)
-        bench.on_phase[Phase.ASIDE] = lambda b: b.hidden.clear()
+        bench.on_phase[GoalPhase.TOUCH] = lambda b: b.hidden.update(RUN_STOP="stylus")
+        bench.on_phase[GoalPhase.CONTACT] = lambda b, lamp=lamp: setattr(b, "lamp", lamp)
+        bench.on_phase[GoalPhase.ASIDE] = lambda b: b.hidden.clear()
         result = bench.do("press:RUN_STOP")
         assert result.outcome is Outcome.REACHED and details(result)["effect"] == effect
-        assert Phase.ASIDE not in bench.on_phase and bench.readings[2] == 0.0
+        assert GoalPhase.ASIDE not in bench.on_phase and bench.readings[2] == 0.0
         assert bench.paths[-1][:, 2].max() == 0.0, "it goes aside with the stylus up"
 
 
@@ -256,10 +256,10 @@ def test_a_lamp_that_the_stylus_hides_from_the_start_is_read_from_aside_before_t
     def press(b: Bench) -> None:
         b.lamp = "red"
         b.hidden["RUN_STOP"] = "stylus"
-        b.on_phase[Phase.ASIDE] = lambda b: b.hidden.clear()
+        b.on_phase[GoalPhase.ASIDE] = lambda b: b.hidden.clear()
 
-    bench.on_phase[Phase.ASIDE] = lambda b: b.hidden.clear()
-    bench.on_phase[Phase.CONTACT] = press
+    bench.on_phase[GoalPhase.ASIDE] = lambda b: b.hidden.clear()
+    bench.on_phase[GoalPhase.CONTACT] = press
     sent = len(bench.paths)
     result = bench.do("press:RUN_STOP")
     assert result.outcome is Outcome.REACHED and details(result)["effect"] == "lamp green -> red", result
@@ -269,7 +269,7 @@ def test_a_lamp_that_the_stylus_hides_from_the_start_is_read_from_aside_before_t
 def test_what_has_no_lamp_is_pressed_from_where_the_stylus_stands() -> None:
     bench = seeing()
     for _ in range(2):  # the first leaves the stylus over the knob
-        bench.on_phase[Phase.ASIDE] = lambda b: pytest.fail("it needs no look from aside")
+        bench.on_phase[GoalPhase.ASIDE] = lambda b: pytest.fail("it needs no look from aside")
         assert details(bench.do("press:CH1_SCALE"))["effect"] == "none seen"
         bench.run(0.5)
 
@@ -278,7 +278,7 @@ def test_a_lamp_that_is_not_seen_from_aside_either_is_pressed_all_the_same() -> 
     bench = seeing()
     bench.hidden["RUN_STOP"] = "stylus"
     bench.run(0.4)
-    bench.on_phase[Phase.CONTACT] = lambda b: setattr(b, "screen_changed_ns", b.now_ns)
+    bench.on_phase[GoalPhase.CONTACT] = lambda b: setattr(b, "screen_changed_ns", b.now_ns)
     result = bench.do("press:RUN_STOP")
     assert result.outcome is Outcome.REACHED and details(result)["effect"] == "screen changed", result
 
@@ -294,8 +294,8 @@ def test_pictures_that_arrive_late_tell_the_effect_by_when_they_were_taken(lamp:
         if lamp == "red":
             b.screen_changed_ns = b.now_ns
 
-    bench.on_phase[Phase.CONTACT] = press
-    bench.on_phase[Phase.READ] = lambda b: b.hidden.clear()
+    bench.on_phase[GoalPhase.CONTACT] = press
+    bench.on_phase[GoalPhase.READ] = lambda b: b.hidden.clear()
     result = bench.do("press:RUN_STOP")
     assert result.outcome is Outcome.REACHED and details(result)["effect"] == effect
 
@@ -303,8 +303,8 @@ def test_pictures_that_arrive_late_tell_the_effect_by_when_they_were_taken(lamp:
 @pytest.mark.parametrize("required", [False, True])
 def test_without_a_picture_since_the_touch_nobody_says_that_there_was_no_effect(required: bool) -> None:
     bench = seeing(require_effect=required)
-    bench.on_phase[Phase.CONTACT] = lambda b: b.talking.discard("state")
-    bench.on_phase[Phase.READ] = lambda b: began.append(b.now_ns)
+    bench.on_phase[GoalPhase.CONTACT] = lambda b: b.talking.discard("state")
+    bench.on_phase[GoalPhase.READ] = lambda b: began.append(b.now_ns)
     began: list[int] = []
     result = bench.do("press:RUN_STOP")
     assert (bench.now_ns - began[0]) / 1e9 == pytest.approx(4.0, abs=0.1), "effect_wait_s and read_timeout_s"
@@ -327,8 +327,8 @@ def test_what_must_have_an_effect_needs_somebody_who_sees_it() -> None:
 def test_an_effect_counts_that_is_seen_before_the_driver_reports_the_contact() -> None:
     bench = seeing()
     before = bench.now_ns
-    bench.on_phase[Phase.TOUCH] = lambda b: setattr(b, "screen_changed_ns", b.now_ns + 200 * MS)
-    bench.on_phase[Phase.CONTACT] = lambda b: down.append(b.now_ns)
+    bench.on_phase[GoalPhase.TOUCH] = lambda b: setattr(b, "screen_changed_ns", b.now_ns + 200 * MS)
+    bench.on_phase[GoalPhase.CONTACT] = lambda b: down.append(b.now_ns)
     down: list[int] = []
     told = details(bench.do("press:SINGLE"))
     assert told["effect"] == "screen changed"
@@ -355,8 +355,8 @@ def test_a_lamp_that_the_stylus_hides_at_first_tells_more_than_the_screen(
         b.screen_changed_ns, b.lamp = b.now_ns, lamp
         b.hidden["RUN_STOP"] = "stylus"
 
-    bench.on_phase[Phase.CONTACT] = press
-    bench.on_phase[Phase.READ] = lambda b: read.append(b.now_ns)
+    bench.on_phase[GoalPhase.CONTACT] = press
+    bench.on_phase[GoalPhase.READ] = lambda b: read.append(b.now_ns)
     read: list[int] = []
     bench.tell(msg.Command(text="press:RUN_STOP"))
     for _ in range(1000):
@@ -372,9 +372,9 @@ def test_a_lamp_that_the_stylus_hides_at_first_tells_more_than_the_screen(
 def test_a_lamp_is_read_once_the_stylus_leaves_it() -> None:
     """Before, its ball may look like a part of the lamp: a button that had become green was reported as off."""
     bench = seeing()
-    bench.on_phase[Phase.TOUCH] = lambda b: setattr(b, "lamp", "off")
-    bench.on_phase[Phase.LIFT] = lambda b: b.talking.discard("state")
-    bench.on_phase[Phase.READ] = lambda b: (setattr(b, "lamp", "red"), b.talking.add("state"))
+    bench.on_phase[GoalPhase.TOUCH] = lambda b: setattr(b, "lamp", "off")
+    bench.on_phase[GoalPhase.LIFT] = lambda b: b.talking.discard("state")
+    bench.on_phase[GoalPhase.READ] = lambda b: (setattr(b, "lamp", "red"), b.talking.add("state"))
     assert details(bench.do("press:RUN_STOP"))["effect"] == "lamp green -> red"
 
 
@@ -382,7 +382,7 @@ def test_a_hidden_control_is_waited_for_and_then_refused() -> None:
     bench = seeing()
     bench.hidden["RUN_STOP"] = "something"
     bench.run(0.5)
-    bench.on_phase[Phase.WAIT] = lambda b: b.hidden.clear()
+    bench.on_phase[GoalPhase.WAIT] = lambda b: b.hidden.clear()
     assert bench.do("press:RUN_STOP").outcome is Outcome.REACHED
     bench.hidden["RUN_STOP"] = "something"
     bench.run(0.5)
@@ -396,8 +396,8 @@ def test_what_a_hand_did_while_it_was_waited_for_is_no_effect_and_hides_none() -
     bench = seeing()
     bench.hidden["RUN_STOP"] = "something"
     bench.run(0.5)
-    bench.on_phase[Phase.WAIT] = lambda b: (b.hidden.clear(), setattr(b, "lamp", "red"))
-    bench.on_phase[Phase.CONTACT] = lambda b: setattr(b, "lamp", "green")
+    bench.on_phase[GoalPhase.WAIT] = lambda b: (b.hidden.clear(), setattr(b, "lamp", "red"))
+    bench.on_phase[GoalPhase.CONTACT] = lambda b: setattr(b, "lamp", "green")
     assert details(bench.do("press:RUN_STOP"))["effect"] == "lamp red -> green"
 
 
@@ -408,8 +408,8 @@ def test_a_lamp_that_changes_on_the_way_to_it_is_not_the_touchs_doing(lamp: str,
     def press(b: Bench) -> None:
         b.lamp = lamp
 
-    bench.on_phase[Phase.APPROACH] = lambda b: setattr(b, "lamp", "red")
-    bench.on_phase[Phase.CONTACT] = press
+    bench.on_phase[GoalPhase.APPROACH] = lambda b: setattr(b, "lamp", "red")
+    bench.on_phase[GoalPhase.CONTACT] = press
     assert details(bench.do("press:RUN_STOP"))["effect"] == effect
 
 
@@ -417,8 +417,8 @@ def test_on_a_busy_computer_the_effect_is_told_by_what_is_seen_on_the_way() -> N
     bench = seeing()
     bench.talking.discard("state")
     bench.run(1.7)
-    bench.on_phase[Phase.APPROACH] = lambda b: b.talking.add("state")
-    bench.on_phase[Phase.CONTACT] = lambda b: setattr(b, "lamp", "red")
+    bench.on_phase[GoalPhase.APPROACH] = lambda b: b.talking.add("state")
+    bench.on_phase[GoalPhase.CONTACT] = lambda b: setattr(b, "lamp", "red")
     assert details(bench.do("press:RUN_STOP"))["effect"] == "lamp green -> red"
 
 
@@ -427,14 +427,14 @@ def test_a_knob_that_was_hidden_is_turned_by_what_is_seen_once_it_is_free(comman
     bench = seeing()
     bench.knob_slips, bench.hidden["CH1_SCALE"] = 0.3, "something"
     bench.run(0.5)
-    bench.on_phase[Phase.WAIT] = lambda b: (b.hidden.clear(), setattr(b, "knob_deg", 80.0))
+    bench.on_phase[GoalPhase.WAIT] = lambda b: (b.hidden.clear(), setattr(b, "knob_deg", 80.0))
     result = bench.do(command)
     assert result.outcome is Outcome.REACHED and bench.knob_deg == pytest.approx(44.0, abs=2.0), result
     assert float(details(result)["knob_deg"]) == pytest.approx(bench.knob_deg, abs=0.01)
 
 
-@pytest.mark.parametrize("phase", [Phase.APPROACH, Phase.LOOK])
-def test_a_hand_that_comes_between_ends_the_gesture_above_the_panel(phase: Phase) -> None:
+@pytest.mark.parametrize("phase", [GoalPhase.APPROACH, GoalPhase.LOOK])
+def test_a_hand_that_comes_between_ends_the_gesture_above_the_panel(phase: GoalPhase) -> None:
     bench = seeing(look_timeout_s=20.0)
     bench.on_phase[phase] = lambda b: (b.hidden.update(RUN_STOP="something"), b.talking.discard("tip"))
     result = bench.do("press:RUN_STOP")
@@ -444,7 +444,7 @@ def test_a_hand_that_comes_between_ends_the_gesture_above_the_panel(phase: Phase
 
 def test_a_panel_out_of_sight_ends_the_gesture_above_it() -> None:
     bench = seeing(look_timeout_s=20.0)
-    bench.on_phase[Phase.LOOK] = lambda b: (setattr(b, "confidence", 0.0), b.talking.discard("tip"))
+    bench.on_phase[GoalPhase.LOOK] = lambda b: (setattr(b, "confidence", 0.0), b.talking.discard("tip"))
     result = bench.do("press:RUN_STOP")
     assert result.outcome is Outcome.ABORTED and "no recognition of the panel for 2" in result.reason, result
     assert bench.readings[2] == 0.0

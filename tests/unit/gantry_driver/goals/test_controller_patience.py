@@ -10,7 +10,7 @@ import pytest
 from unit.gantry_driver.controller_bench import MS, Bench, config
 
 from gantry_driver.core.job import controller_messages as msg
-from gantry_driver.core.job.goal_job import Phase
+from gantry_driver.core.job.goal_job import GoalPhase
 from gantry_driver.core.job.patience import HoldUp, goal_limit_s, next_limit_s, patient_limit_s
 from icu_common.core.goals.results import GoalResult, Outcome
 from icu_common.core.processes.delays import Delay, ResultCode, delay_of
@@ -71,12 +71,12 @@ def test_a_hiccup_of_the_images_before_the_touch_costs_only_time() -> None:
 
     def hiccup(bench: Bench) -> None:
         bench.talking.discard("camera")
-        bench.on_phase[Phase.TOUCH] = lambda b: touched_at.append(b.now_ns)
+        bench.on_phase[GoalPhase.TOUCH] = lambda b: touched_at.append(b.now_ns)
         until.append(bench.now_ns + 3 * SECOND)
 
     until: list[int] = []
     touched_at: list[int] = []
-    bench.on_phase[Phase.LOOK] = hiccup
+    bench.on_phase[GoalPhase.LOOK] = hiccup
     bench.tell(msg.Command(text="press:RUN_STOP"))
     while not bench.finals:
         bench.run(0.02)
@@ -94,7 +94,7 @@ def test_a_goal_that_finds_the_images_late_waits_for_them() -> None:
     bench.talking.discard("camera")
     bench.run(1.5)
     bench.tell(msg.Command(text="press:RUN_STOP"))
-    assert bench.controller.phase is Phase.SIGHT and bench.results[-1].outcome is Outcome.ACCEPTED
+    assert bench.controller.phase is GoalPhase.SIGHT and bench.results[-1].outcome is Outcome.ACCEPTED
     bench.run(1.0)
     assert not bench.paths, "nothing moves before images have come"
     bench.talking.add("camera")
@@ -103,7 +103,7 @@ def test_a_goal_that_finds_the_images_late_waits_for_them() -> None:
 
 def test_images_that_stay_away_fail_the_goal_with_a_code_and_figures() -> None:
     bench = Bench().start()
-    bench.on_phase[Phase.LOOK] = silence("camera")
+    bench.on_phase[GoalPhase.LOOK] = silence("camera")
     result = bench.do("press:RUN_STOP")
     assert result.outcome is Outcome.ABORTED and result.code == "late_image"
     delay = delay_of(result)
@@ -113,13 +113,13 @@ def test_images_that_stay_away_fail_the_goal_with_a_code_and_figures() -> None:
 
 def test_a_silent_tracker_fails_the_look_as_late_and_a_tracker_that_sees_no_tip_does_not() -> None:
     late = Bench().start()
-    late.on_phase[Phase.LOOK] = silence("tip", "tracker")
+    late.on_phase[GoalPhase.LOOK] = silence("tip", "tracker")
     result = late.do("press:RUN_STOP")
     assert result.code == "late_image" and "the cameras saw the tip 0 times" in result.reason
     assert [report.then for report in delays(late)] == ["waiting up to 6 s", "waiting up to 10 s"]
 
     unseen = Bench(config(beside_m=0.0)).start()
-    unseen.on_phase[Phase.LOOK] = silence("tip")
+    unseen.on_phase[GoalPhase.LOOK] = silence("tip")
     result = unseen.do("press:RUN_STOP")
     assert result.outcome is Outcome.ABORTED and result.code == "" and not delays(unseen)
     assert "the cameras saw the tip 0 times" in result.reason
@@ -132,14 +132,14 @@ def test_a_recognition_that_reports_no_panel_is_not_late() -> None:
         bench.confidence = 0.05
         silence("tip", "tracker")(bench)
 
-    bench.on_phase[Phase.LOOK] = cover
+    bench.on_phase[GoalPhase.LOOK] = cover
     result = bench.do("press:RUN_STOP")
     assert "no recognition of the panel for 2.0 s" in result.reason and result.code == ""
 
 
 def test_after_contact_no_limit_grows_and_no_code_asks_for_a_repetition() -> None:
     bench = Bench().start()
-    bench.on_phase[Phase.TOUCH] = silence("camera")
+    bench.on_phase[GoalPhase.TOUCH] = silence("camera")
     result = bench.do("press:RUN_STOP")
     assert result.outcome is Outcome.ABORTED and result.code == ""
     assert "no image for 1.0 s" in result.reason and "look at the panel before trying again" in result.reason
@@ -148,12 +148,12 @@ def test_after_contact_no_limit_grows_and_no_code_asks_for_a_repetition() -> Non
 
 def test_late_joint_states_stop_a_motion_and_only_delay_a_machine_at_rest() -> None:
     moving = Bench().start()
-    moving.on_phase[Phase.APPROACH] = silence("joints")
+    moving.on_phase[GoalPhase.APPROACH] = silence("joints")
     result = moving.do("press:RUN_STOP")
     assert moving.stops == 1 and "no joint_states for 1.0 s" in result.reason and result.code == ""
 
     resting = Bench().start()
-    resting.on_phase[Phase.LOOK] = silence("joints", "tip", "tracker")
+    resting.on_phase[GoalPhase.LOOK] = silence("joints", "tip", "tracker")
     result = resting.do("press:RUN_STOP")
     assert resting.stops == 0 and result.code == "slow" and "no joint_states for 4.0 s" in result.reason
 
@@ -247,7 +247,7 @@ def test_a_hold_up_of_the_controller_alone_ends_no_goal(held_ms: int) -> None:
     def hold_up(bench: Bench) -> None:
         bench.now_ns += held_ms * MS  # heartbeat, joint_states, images and the motion's result wait in the queue
 
-    bench.on_phase[Phase.APPROACH] = hold_up
+    bench.on_phase[GoalPhase.APPROACH] = hold_up
     result = bench.do("press:RUN_STOP")
     assert result.outcome is Outcome.REACHED, result
 
@@ -261,7 +261,7 @@ def test_a_heartbeat_that_stays_away_ends_the_goal_soon_after_a_hold_up() -> Non
         held_at.append(bench.now_ns)
 
     held_at: list[int] = []
-    bench.on_phase[Phase.APPROACH] = hold_up
+    bench.on_phase[GoalPhase.APPROACH] = hold_up
     result = bench.do("press:RUN_STOP")
     assert "lost the operator" in result.reason and result.code == ""
     assert bench.readings[2] == 0.0
@@ -275,7 +275,7 @@ def test_a_controller_that_is_held_up_all_the_time_still_gives_up_a_motion() -> 
     began_ns, bench._motion = bench.now_ns, None  # the driver never answers
     while not bench.finals:
         bench.now_ns += 250 * MS
-        for event in (msg.Heartbeat(), msg.Joints(readings=bench.readings.copy()), msg.Tick()):
+        for event in (msg.OperatorHeartbeat(), msg.Joints(readings=bench.readings.copy()), msg.Tick()):
             bench.tell(event)
         assert bench.now_ns - began_ns < 3 * limit_s * 1e9
     assert "no result of the motion" in bench.finals[0].reason and bench.stops == 1

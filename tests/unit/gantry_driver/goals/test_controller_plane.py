@@ -11,7 +11,7 @@ from unit.gantry_driver.controller_bench import BASE_FROM_PANEL, CAMERA_FROM_BAS
 from gantry_driver.core.envelope.estimate import HELD_SIGMA_M, PlaneEstimate
 from gantry_driver.core.envelope.plane import PanelPlane
 from gantry_driver.core.job import controller_messages as msg
-from gantry_driver.core.job.goal_job import Phase
+from gantry_driver.core.job.goal_job import GoalPhase
 from icu_common.core.geometry.geometry import Transform
 from icu_common.core.goals.intent import Intent
 from icu_common.core.goals.results import Outcome
@@ -135,7 +135,7 @@ def test_a_drag_says_that_it_is_one() -> None:
 
 def test_a_lift_after_a_fault_is_a_move() -> None:
     bench = calibrated()
-    bench.on_phase[Phase.CONTACT] = lambda b: b.talking.discard("heartbeat")
+    bench.on_phase[GoalPhase.CONTACT] = lambda b: b.talking.discard("heartbeat")
     bench.do("hold:RUN_STOP:5")
     assert intents(bench)[-1] == Intent.MOVE
 

@@ -8,7 +8,7 @@ import pytest
 from unit.gantry_driver.controller_bench import BASE_FROM_PANEL, BUTTON, BUTTON_Z, KNOB, Bench, RidingBench, details
 
 from gantry_driver.core.job import controller_messages as msg
-from gantry_driver.core.job.goal_job import Phase
+from gantry_driver.core.job.goal_job import GoalPhase
 from icu_common.core.geometry.geometry import Transform
 from icu_common.core.goals.results import Outcome
 
@@ -29,9 +29,9 @@ def test_cameras_that_went_aside_themselves_have_time_to_find_the_panel_from_the
     def press(b: Bench) -> None:
         b.lamp = lamp
         b.hidden["RUN_STOP"] = "stylus"
-        b.on_phase[Phase.ASIDE] = lambda b: b.on_phase.update({Phase.READ: look_from_aside})
+        b.on_phase[GoalPhase.ASIDE] = lambda b: b.on_phase.update({GoalPhase.READ: look_from_aside})
 
-    bench.on_phase[Phase.CONTACT] = press
+    bench.on_phase[GoalPhase.CONTACT] = press
     bench.tell(msg.Command(text="press:RUN_STOP"))
     for _ in range(1000):
         bench.run(0.02)
@@ -61,8 +61,8 @@ def test_what_is_not_in_the_picture_is_pressed_once_the_cameras_have_come_to_it(
     def press(b: Bench) -> None:
         b.lamp = "red"
 
-    bench.on_phase[Phase.READ] = lambda b: b.hidden.clear()
-    bench.on_phase[Phase.CONTACT] = press
+    bench.on_phase[GoalPhase.READ] = lambda b: b.hidden.clear()
+    bench.on_phase[GoalPhase.CONTACT] = press
     result = bench.do(f"{command}:RUN_STOP{':0.5' if command == 'hold' else ''}")
     assert result.outcome is Outcome.REACHED and details(result)["effect"] == "lamp green -> red", result
 
@@ -71,7 +71,7 @@ def test_what_is_not_in_the_picture_is_pressed_once_the_cameras_have_come_to_it(
 def test_a_knob_that_is_not_in_the_picture_is_turned_by_what_is_seen_from_beside_it(command: str) -> None:
     bench = beyond_the_edge("CH1_SCALE")
     bench.knob_slips = 0.3
-    bench.on_phase[Phase.READ] = lambda b: b.hidden.clear()
+    bench.on_phase[GoalPhase.READ] = lambda b: b.hidden.clear()
     result = bench.do(command)
     assert result.outcome is Outcome.REACHED and bench.knob_deg == pytest.approx(-16.0, abs=2.0), result
     assert float(details(result)["knob_deg"]) == pytest.approx(bench.knob_deg, abs=0.01)
@@ -80,7 +80,7 @@ def test_a_knob_that_is_not_in_the_picture_is_turned_by_what_is_seen_from_beside
 def test_a_hand_over_what_came_into_the_picture_ends_the_gesture_above_it() -> None:
     bench = beyond_the_edge("RUN_STOP")
     bench.controller.config = dataclasses.replace(bench.controller.config, look_timeout_s=20.0)
-    bench.on_phase[Phase.LOOK] = lambda b: (b.hidden.update(RUN_STOP="something"), b.talking.discard("tip"))
+    bench.on_phase[GoalPhase.LOOK] = lambda b: (b.hidden.update(RUN_STOP="something"), b.talking.discard("tip"))
     result = bench.do("press:RUN_STOP")
     assert result.outcome is Outcome.ABORTED and "hidden RUN_STOP" in result.reason, result
     assert min(tip[2] for tip in bench.lowest) > BUTTON_Z and bench.readings[2] == 0.0
@@ -104,7 +104,7 @@ def test_the_panel_is_not_taken_along_by_a_carriage_from_where_it_was_not_seen_y
             b.talking.discard("panel")
             b.tell(msg.PanelConfidence(value=confidence))
 
-        bench.on_phase[Phase.MOVE] = lose_panel
+        bench.on_phase[GoalPhase.MOVE] = lose_panel
         assert bench.go(0.02, 0.02).outcome is Outcome.REACHED
         result = bench.go(x, y, z - 0.005)
         assert result.outcome is Outcome.REJECTED and "would touch the panel" in result.reason, result
@@ -121,7 +121,7 @@ def unseen_after_a_drag() -> RidingBench:
     bench = RidingBench(seed=3)
     bench.talking.add("state")
     bench.start()
-    bench.on_phase[Phase.LIFT] = lambda b: b.talking.discard("panel")
+    bench.on_phase[GoalPhase.LIFT] = lambda b: b.talking.discard("panel")
     assert bench.do(DRAG).outcome is Outcome.REACHED
     return bench
 
@@ -133,7 +133,7 @@ def waits(bench: Bench, command: str = "press:RUN_STOP id=late") -> None:
     bench.run(1.0)
     result = bench.results[-1]
     assert (result.outcome, result.reason) == (Outcome.ACCEPTED, "waiting for the cameras to see the panel"), result
-    assert bench.controller.phase is Phase.SIGHT and bench.controller.state == "looking"
+    assert bench.controller.phase is GoalPhase.SIGHT and bench.controller.state == "looking"
     assert len(bench.paths) == before
 
 
@@ -169,7 +169,7 @@ def test_a_stop_ends_the_wait_for_the_panel_at_once() -> None:
     bench.driver = "idle"
     bench.tell(msg.DriverState(text=bench.driver))
     bench.run(1.0)
-    assert len(bench.paths) == before and bench.controller.phase is Phase.IDLE
+    assert len(bench.paths) == before and bench.controller.phase is GoalPhase.IDLE
 
 
 def test_an_operator_who_goes_ends_the_wait_for_the_panel() -> None:
@@ -216,7 +216,9 @@ def test_what_cannot_be_touched_is_told_once_the_panel_is_seen(command: str, rea
 def test_a_pixel_of_a_picture_from_elsewhere_is_refused_at_once(command: str) -> None:
     bench = unseen_after_a_drag()
     result = bench.do(command)
-    assert result.outcome is Outcome.REJECTED and "have not seen the panel from their new position" in result.reason, result
+    assert result.outcome is Outcome.REJECTED and "have not seen the panel from their new position" in result.reason, (
+        result
+    )
 
 
 def test_what_the_controls_show_is_awaited_with_the_panel() -> None:
@@ -225,16 +227,16 @@ def test_what_the_controls_show_is_awaited_with_the_panel() -> None:
     bench.talking.add("state")
     bench.hidden["RUN_STOP"] = "stylus"
     bench.start()
-    bench.on_phase[Phase.MOVE] = lambda b: b.talking.discard("state")
+    bench.on_phase[GoalPhase.MOVE] = lambda b: b.talking.discard("state")
     assert bench.go(0.02, 0.02).outcome is Outcome.REACHED
     before = len(bench.paths)
     bench.tell(msg.Command(text="press:RUN_STOP"))
     bench.run(2.0)
-    assert bench.controller.phase is Phase.SIGHT and len(bench.paths) == before
+    assert bench.controller.phase is GoalPhase.SIGHT and len(bench.paths) == before
     bench.hidden.clear()
     bench.talking.add("state")
     went_aside: list[Bench] = []
-    bench.on_phase[Phase.ASIDE] = went_aside.append
+    bench.on_phase[GoalPhase.ASIDE] = went_aside.append
     assert bench.run_goal().outcome is Outcome.REACHED
     assert not went_aside, "it is not hidden from here"
 

@@ -11,7 +11,7 @@ from unit.gantry_driver.controller_bench import BASE_FROM_PANEL, BUTTON, PANEL, 
 
 from gantry_driver.core.goals.controller import Controller
 from gantry_driver.core.job import controller_messages as msg
-from gantry_driver.core.job.goal_job import Phase
+from gantry_driver.core.job.goal_job import GoalPhase
 from gantry_driver.core.motion.scene import PanelControl
 from icu_common.core.geometry.geometry import Array, Transform
 from icu_common.core.goals.results import Felt, Outcome
@@ -94,7 +94,7 @@ def away(bench: Bench, tip: Array) -> float:
 @pytest.mark.parametrize("gesture", ["press", "long", "double"])
 def test_a_lit_control_that_hides_the_tip_is_touched_by_a_look_from_beside_it(kind: type[Bench], gesture: str) -> None:
     bench = dazzling_bench(kind, 0.015)
-    bench.on_phase[Phase.LIFT] = acts
+    bench.on_phase[GoalPhase.LIFT] = acts
     result = bench.do(f"{gesture}:RUN_STOP")
     assert result.outcome is Outcome.REACHED, result
     assert result.touch is Felt.PRESSED, "its own lamp replaces the contact that cannot be measured"
@@ -130,7 +130,7 @@ def test_the_tip_that_is_seen_in_contact_counts_although_it_was_hidden_before() 
     def out(running: Bench) -> None:
         running.lamp = "off"
 
-    bench.on_phase[Phase.CONTACT] = out
+    bench.on_phase[GoalPhase.CONTACT] = out
     result = bench.do("press:RUN_STOP")
     assert result.outcome is Outcome.REACHED
     assert dict(result.details)["measured_by"] == "cameras" and result.reason == ""
@@ -170,7 +170,7 @@ def test_it_is_looked_from_beside_where_nothing_stands_in_the_way() -> None:
         name="TALL", kind="knob", centre=np.array([0.188, 0.127]), size=np.full(2, 0.012), height=0.02, round=True
     )
     bench.tell(msg.PanelControls(panel=dataclasses.replace(PANEL, controls=(*PANEL.controls, knob))))
-    bench.on_phase[Phase.LIFT] = acts
+    bench.on_phase[GoalPhase.LIFT] = acts
     assert bench.do("press:RUN_STOP").outcome is Outcome.REACHED
     top = BASE_FROM_PANEL.apply([*knob.centre, knob.height])
     near = [p[2] for p in bench.lowest if np.linalg.norm((p - top)[:2]) < 0.006 + 0.0025]
@@ -208,7 +208,7 @@ def test_corrections_that_change_nothing_do_not_lead_the_stylus_into_a_neighbour
         assert isinstance(running, DazzledBench)
         running.light = running.tip_in_base() - (0.0, 0.0045, 0.0)
 
-    bench.on_phase[Phase.LOOK] = dazzle
+    bench.on_phase[GoalPhase.LOOK] = dazzle
     bench.lowest.clear()
     result = bench.do("press:CH1")
     assert result.outcome is Outcome.ABORTED
@@ -229,7 +229,7 @@ def test_cameras_on_the_carriage_notice_a_panel_that_moves() -> None:
         assert isinstance(running, RidingBench)
         running.base_from_panel = Transform(BASE_FROM_PANEL.rotation, BASE_FROM_PANEL.translation + (0.004, 0.0, 0.0))
 
-    bench.on_phase[Phase.LOOK] = push
+    bench.on_phase[GoalPhase.LOOK] = push
     result = bench.do("press:RUN_STOP")
     assert result.outcome is Outcome.ABORTED
     assert "the panel has moved by 4.0 mm" in result.reason

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import pytest
 
-from gantry_driver.core.goals.sequence import Report, SendCommand, SequenceConfig, SequenceRun, StopMachine
+from gantry_driver.core.goals.sequence import SendStepCommand, SequenceConfig, SequenceReport, SequenceRun, StopMachine
 from gantry_driver.core.job.effects import SCREEN_CHANGED
 from icu_common.core.goals.results import EffectMissing, GoalResult, Outcome
 from icu_common.core.goals.sequence import SequenceError, parse_file, parse_steps, unfit
@@ -159,18 +159,20 @@ def run_of(text: str = FILE) -> SequenceRun:
 def test_every_step_waits_for_its_answer_and_its_checks() -> None:
     run = run_of()
     first = run.start(0)
-    assert isinstance(first[0], Report) and first[0].result.outcome is Outcome.ACCEPTED
-    assert first[1] == SendCommand(text="press:AUTO_SET id=r.1")
+    assert isinstance(first[0], SequenceReport) and first[0].result.outcome is Outcome.ACCEPTED
+    assert first[1] == SendStepCommand(text="press:AUTO_SET id=r.1")
     assert run.result(answer("r.1", Outcome.ACCEPTED), S) == []
     assert run.result(answer("other"), S) == []
-    assert run.result(answer("r.1", effect=SCREEN_CHANGED), 2 * S) == [SendCommand(text="click:CH1_SCALE:2.0 id=r.2")]
+    assert run.result(answer("r.1", effect=SCREEN_CHANGED), 2 * S) == [
+        SendStepCommand(text="click:CH1_SCALE:2.0 id=r.2")
+    ]
     assert run.result(answer("r.2", effect="CH1_SCALE at -36.5 degrees"), 5 * S) == []
     assert run.panel(seen(4 * S, angle=-36.0), 5 * S) == [], "a picture from before the answer"
     assert run.panel(seen(6 * S, angle=-30.0), 6 * S) == []
-    assert run.panel(seen(6 * S + 1, angle=-35.0), 6 * S) == [SendCommand(text="press:RUN_STOP id=r.3")]
+    assert run.panel(seen(6 * S + 1, angle=-35.0), 6 * S) == [SendStepCommand(text="press:RUN_STOP id=r.3")]
     assert run.result(answer("r.3"), 9 * S) == [] and run.tick(10 * S) == []
     (last,) = run.panel(seen(10 * S, "red"), 10 * S)
-    assert isinstance(last, Report) and last.result.outcome is Outcome.REACHED and run.done
+    assert isinstance(last, SequenceReport) and last.result.outcome is Outcome.REACHED and run.done
     assert last.result.duration_s == 10 and dict(last.result.details)["steps_done"] == "3"
 
 
@@ -180,7 +182,7 @@ def test_a_check_that_is_not_seen_stops_it() -> None:
     run.result(answer("r.1"), S)
     run.panel(seen(2 * S, "green"), 2 * S)
     (end,) = run.tick(4 * S + 1)
-    assert isinstance(end, Report) and end.result.outcome is Outcome.ABORTED
+    assert isinstance(end, SequenceReport) and end.result.outcome is Outcome.ABORTED
     assert end.result.reason == ("step 1 of 2, press:RUN_STOP: not seen in time: lamp:RUN_STOP=red (lamp green)")
     assert run.result(answer("r.2"), 5 * S) == [] and run.tick(500 * S) == []
 
@@ -197,7 +199,7 @@ def test_a_screen_that_changed_before_the_touch_is_none_that_the_touch_has_chang
         reached = answer("r.1", effect="lamp off -> green")
         told = replace(reached, details=(*reached.details, ("touched_ns", str(2 * S))))
         actions = run.result(told, 5 * S) or run.tick(9 * S)
-        assert isinstance(actions[0], Report)
+        assert isinstance(actions[0], SequenceReport)
         assert actions[0].result.outcome is (Outcome.REACHED if passes else Outcome.ABORTED)
         assert passes or actions[0].result.reason.endswith("not seen in time: screen (no change)")
 
@@ -207,7 +209,7 @@ def test_a_stop_between_two_gestures_ends_it_so_that_nothing_goes_on_after_a_res
     run.start(0)
     run.result(answer("r.1"), 2 * S)
     (end,) = run.stopped("stopped: operator", 3 * S)
-    assert isinstance(end, Report) and end.result.outcome is Outcome.ABORTED
+    assert isinstance(end, SequenceReport) and end.result.outcome is Outcome.ABORTED
     assert end.result.reason == "step 1 of 3, press:AUTO_SET: stopped: operator"
     later = PanelSeen(stamp_ns=4 * S, controls=(ControlSeen(name="SCREEN", kind="touch_area", changed_ns=4 * S),))
     assert run.panel(later, 4 * S) == [] and run.done
@@ -237,7 +239,7 @@ def test_a_stop_that_overtakes_a_steps_answer_ends_the_sequence_also_when_it_was
     run.result(answer("r.1", Outcome.ACCEPTED), S)
     assert run.stopped("stopped: operator", 2 * S) == [], "the gesture may be answered by a better reason"
     (end,) = run.result(answer("r.1"), 2 * S) or run.panel(seen(3 * S, "red"), 3 * S)
-    assert isinstance(end, Report) and end.result.outcome is Outcome.ABORTED and run.done
+    assert isinstance(end, SequenceReport) and end.result.outcome is Outcome.ABORTED and run.done
     assert end.result.reason == "step 1 of 2, press:RUN_STOP: stopped: operator"
 
 
@@ -248,7 +250,7 @@ def test_a_step_that_fails_stops_it(outcome: Outcome, reason: str) -> None:
     run = run_of()
     run.start(0)
     (end,) = run.result(answer("r.1", outcome, reason=reason), S)
-    assert isinstance(end, Report) and end.result.outcome is Outcome.ABORTED and reason in end.result.reason
+    assert isinstance(end, SequenceReport) and end.result.outcome is Outcome.ABORTED and reason in end.result.reason
     assert dict(end.result.details)["steps_done"] == "0"
 
 
@@ -259,7 +261,7 @@ def ended_with_a_stop(run: SequenceRun, now_ns: int, driver: str = "stopped: sto
     number = run.state.partition("/")[0].removeprefix("step ")
     assert run.result(answer(f"r.{number}"), now_ns + 2 * S) == [], "an answer that comes now starts no next step"
     (end,) = run.tick(now_ns + 3 * S, driver=driver)
-    assert isinstance(end, Report) and end.result.outcome is Outcome.ABORTED
+    assert isinstance(end, SequenceReport) and end.result.outcome is Outcome.ABORTED
     return end.result.reason
 
 
@@ -285,7 +287,7 @@ def test_a_step_that_a_controller_at_rest_no_longer_knows_ends_the_sequence() ->
     assert run.tick(15 * S + 1, at_rest=True, driver="idle") == [StopMachine()]
     assert run.tick(20 * S + 1, at_rest=True, driver="idle") == [], "the stop may be under way"
     (end,) = run.tick(20 * S + 2, at_rest=True, driver="idle")
-    assert isinstance(end, Report) and end.result.outcome is Outcome.ABORTED
+    assert isinstance(end, SequenceReport) and end.result.outcome is Outcome.ABORTED
     assert end.result.reason == (
         "step 1 of 3, press:AUTO_SET: the controller has been at rest for 5 s without an answer to it; "
         "the sequencer has ordered a stop, but the driver reports 'idle': look at the machine"
@@ -306,7 +308,9 @@ def test_a_gesture_that_takes_long_is_followed_for_as_long_as_somebody_is_at_wor
             run.sign(second * S)
     for second in range(400, 800):  # one slow way
         assert run.tick(second * S, driver="moving") == []
-    assert run.result(answer("r.1", effect=SCREEN_CHANGED), 800 * S) == [SendCommand(text="click:CH1_SCALE:2.0 id=r.2")]
+    assert run.result(answer("r.1", effect=SCREEN_CHANGED), 800 * S) == [
+        SendStepCommand(text="click:CH1_SCALE:2.0 id=r.2")
+    ]
 
 
 def test_a_controller_that_hangs_in_a_step_is_given_up_and_the_machine_stopped() -> None:
@@ -329,8 +333,8 @@ def test_an_effect_that_is_missing_stops_it() -> None:
         strict.start(0)
         strict.result(answer("r.1", effect=told, missing=missing), S)
         (end,) = strict.tick(5 * S)
-        assert isinstance(end, Report) and f"effect ({told})" in end.result.reason
+        assert isinstance(end, SequenceReport) and f"effect ({told})" in end.result.reason
     seen_one = run_of("steps: ['press:SAVE => effect']")
     seen_one.start(0)
     (end,) = seen_one.result(answer("r.1", effect="none seen, as a name of a lamp"), S)
-    assert isinstance(end, Report) and end.result.outcome is Outcome.REACHED, "no words decide"
+    assert isinstance(end, SequenceReport) and end.result.outcome is Outcome.REACHED, "no words decide"

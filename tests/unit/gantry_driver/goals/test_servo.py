@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from gantry_driver.core.goals.servo import Look, contact_fault, judge
+from gantry_driver.core.goals.servo import TipLook, contact_fault, judge
 from gantry_driver.core.job.controller_config import ControllerConfig
 from gantry_driver.core.job.goal_job import Aim, Fault
 from icu_common.core.geometry.geometry import Array, Transform
@@ -17,7 +17,7 @@ BASE_FROM_CAMERA = Transform(np.diag([1.0, -1.0, -1.0]), np.array([0.1, 0.2, 0.4
 SPREAD_M = 0.0006
 
 
-def looked(look: Look, *sightings: tuple[int, tuple[float, float, float]]) -> Look:
+def looked(look: TipLook, *sightings: tuple[int, tuple[float, float, float]]) -> TipLook:
     """Return the look after sightings: the stamp of each, and the tip in base_link."""
     for stamp_ns, tip in sightings:
         look = look.with_tip(BASE_FROM_CAMERA.inverse().apply(np.array(tip)), stamp_ns)
@@ -26,7 +26,7 @@ def looked(look: Look, *sightings: tuple[int, tuple[float, float, float]]) -> Lo
 
 def test_a_look_averages_the_last_pictures_of_its_time() -> None:
     look = looked(
-        Look(after_ns=10, until_ns=20, needed=2, kept=2),
+        TipLook(after_ns=10, until_ns=20, needed=2, kept=2),
         (10, (9.0, 0.0, 0.0)),
         (11, (9.0, 0.0, 0.0)),
         (12, (0.0001, 0.0, 0.01)),
@@ -39,7 +39,7 @@ def test_a_look_averages_the_last_pictures_of_its_time() -> None:
 
 
 def test_a_look_is_not_done_while_too_few_agree_sideways() -> None:
-    few = looked(Look(after_ns=0, needed=2, kept=4), (1, (0.0, 0.0, 0.0)))
+    few = looked(TipLook(after_ns=0, needed=2, kept=4), (1, (0.0, 0.0, 0.0)))
     assert few.seen(BASE_FROM_CAMERA, SPREAD_M) is None
     assert few.unseen_text(SPREAD_M) == "the cameras saw the tip 1 times (at least 2 times within 0.6 mm)"
     apart = looked(few, (2, (0.0, 0.0013, 0.0)))
@@ -105,7 +105,7 @@ def test_errors_that_do_not_follow_the_corrections_end_it() -> None:
 
 
 def test_a_touch_must_have_been_seen_in_its_place() -> None:
-    look = Look(after_ns=0, needed=2, kept=4)
+    look = TipLook(after_ns=0, needed=2, kept=4)
     unseen = math.nan
     assert contact_fault(0.0005, 0.003, look, CONFIG) is None
     above = contact_fault(0.0005, 0.0031, look, CONFIG)

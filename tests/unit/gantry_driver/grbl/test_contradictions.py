@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from gantry_driver.core.grbl.buffers import BoardBuffers
 from gantry_driver.core.grbl.contradictions import LOST_LINE, Contradictions
-from gantry_driver.core.grbl.grbl_messages import Report
-from gantry_driver.core.grbl.lines import Line
+from gantry_driver.core.grbl.grbl_messages import StatusReport
+from gantry_driver.core.grbl.lines import GrblLine
 
-IN_FLIGHT = [(Line.of(1, "G1X-5F1000", 60.0), 0.0)]
-IDLE = Report(state="Idle")
+IN_FLIGHT = [(GrblLine.of(1, "G1X-5F1000", 60.0), 0.0)]
+IDLE = StatusReport(state="Idle")
 
 
 def find(found: Contradictions, now: float) -> str:

@@ -10,13 +10,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gantry_driver.core.configuration.machine_config import DriverConfig, StylusConfig
-from gantry_driver.core.grbl.lines import Line
+from gantry_driver.core.grbl.lines import GrblLine
 from gantry_driver.core.grbl.trajectory_gcode import Waypoint, lift_lines, write_motion
 from gantry_driver.core.program.gcode_check import Bounds, ProgramChecker
 from gantry_driver.core.wire.stages import make_script
 from gantry_driver.mock.firmware.gcode import check_line
 from gantry_driver.mock.firmware.parser_state import ParserState
-from gantry_driver.mock.firmware.words import GcodeError
+from gantry_driver.mock.firmware.words import FirmwareGcodeError
 from icu_common.core.geometry.frames import JOINTS
 
 PLACES = [[-100.0, -100.0, -10.0] for _ in range(8)]
@@ -47,7 +47,7 @@ def obeyed(text: str) -> bool:
     """Whether a board that was reset would move, lower a stylus, or take a feed; its positions are not the old ones."""
     try:
         block = check_line(text, ParserState(), PLACES, mist=True)
-    except GcodeError:
+    except FirmwareGcodeError:
         return False
     modes = block.modes
     goes = (block.moves and modes.motion != 80) or block.action in (10, 28, 30, 28.1, 30.1)
@@ -56,7 +56,7 @@ def obeyed(text: str) -> bool:
 
 def check(lines: Sequence[str]) -> None:
     for text in lines:
-        assert Line.of(1, text, 1.0).alone or not obeyed(text), text
+        assert GrblLine.of(1, text, 1.0).alone or not obeyed(text), text
         for cut in range(1, len(text)):
             assert not obeyed(text[cut:]), f"{text[cut:]!r}, the rest of {text!r}"
 

@@ -19,14 +19,14 @@ from gantry_driver.core.grbl.grbl_messages import (
     Feedback,
     Firmware,
     Garbage,
+    GrblMessage,
     LineReader,
-    Message,
     OkAnswer,
-    Report,
     SettingValue,
+    StatusReport,
     parse_line,
 )
-from gantry_driver.core.grbl.lines import Acknowledged, CountBroken, Line, Refused, StrayAnswer, WasReset
+from gantry_driver.core.grbl.lines import Acknowledged, CountBroken, GrblLine, LineRefused, StrayAnswer, WasReset
 from gantry_driver.core.grbl.session import GrblSession
 
 TRANSCRIPT = (
@@ -38,7 +38,7 @@ TRANSCRIPT = (
 )
 
 
-def messages(reader: LineReader, chunks: list[bytes]) -> list[Message]:
+def messages(reader: LineReader, chunks: list[bytes]) -> list[GrblMessage]:
     return [parse_line(line) for chunk in chunks for line in reader.feed(chunk)]
 
 
@@ -124,7 +124,7 @@ def test_a_session_survives_every_mixture_of_almost_valid_pieces(pieces: list[by
         (b"<Fast|MPos:0,0,0>", Garbage(raw=b"<Fast|MPos:0,0,0>")),
     ],
 )
-def test_lines_mean_what_the_documents_say(line: bytes, expected: Message) -> None:
+def test_lines_mean_what_the_documents_say(line: bytes, expected: GrblMessage) -> None:
     assert parse_line(line) == expected
 
 
@@ -190,7 +190,7 @@ def test_what_noise_made_of_the_room_ends_with_the_next_banner() -> None:
     session.queue("X1G1")
     session.output(0.2)
     told = list(session.receive(b"<Idle|MPos:0,0,0|Bf:15,128|FS:0,0>\r\n", 0.3))
-    assert [type(m) for m in told] == [Report], "no contradiction with a report of before the reset"
+    assert [type(m) for m in told] == [StatusReport], "no contradiction with a report of before the reset"
 
 
 @pytest.mark.parametrize(
@@ -213,7 +213,7 @@ def test_eeprom_lines_go_alone_and_the_board_gets_fifty_milliseconds_after_them(
 
 @pytest.mark.parametrize("text", ["G1X10", "$J=G91X1F100", "G4P0", "G28", "G30", "G10.5"])
 def test_other_lines_are_not_taken_for_eeprom_lines(text: str) -> None:
-    assert not Line.of(1, text, 1.0).eeprom
+    assert not GrblLine.of(1, text, 1.0).eeprom
 
 
 @pytest.mark.parametrize(
@@ -293,11 +293,11 @@ def test_a_stray_ok_is_caught_by_the_boards_own_count() -> None:
     session.queue("X22G1")
     session.output(0.0)
     idle = b"<Idle|MPos:0,0,0|Bf:15,128|FS:0,0>\r\n"
-    assert [type(m) for m in session.receive(idle * 2, 0.01)] == [Report, Report]
+    assert [type(m) for m in session.receive(idle * 2, 0.01)] == [StatusReport, StatusReport]
     stray = list(session.receive(b"ok\r\nok\r\n<Run|MPos:0,0,0|Bf:14,118|FS:0,0>\r\n", 0.02))
-    assert [type(m) for m in stray] == [Acknowledged, Acknowledged, Report], "this report may be damaged"
+    assert [type(m) for m in stray] == [Acknowledged, Acknowledged, StatusReport], "this report may be damaged"
     again = list(session.receive(b"<Run|MPos:0,0,0|Bf:14,118|FS:0,0>\r\n", 0.12))
-    assert [type(m) for m in again] == [Report, CountBroken]
+    assert [type(m) for m in again] == [StatusReport, CountBroken]
 
 
 @pytest.mark.parametrize("damaged", [b"Bf:14,528", b"Bf:14,028", b"Bf:14,1160", b"Bf:94,128", b"Bf:04,128"])
@@ -309,9 +309,9 @@ def test_one_damaged_count_of_the_buffers_is_no_contradiction(damaged: bytes) ->
     session.output(0.02)
     busy = report.replace(b"128", b"123")
     told = [*session.receive(busy.replace(b"Bf:14,123", damaged), 0.03), *session.receive(busy * 5, 0.05)]
-    assert [type(m) for m in told] == [Report] * 6
+    assert [type(m) for m in told] == [StatusReport] * 6
     assert session.counts.executed == 0
-    assert [type(m) for m in session.receive(b"ok\r\n" + report * 3, 0.4)] == [Acknowledged] + [Report] * 3
+    assert [type(m) for m in session.receive(b"ok\r\n" + report * 3, 0.4)] == [Acknowledged] + [StatusReport] * 3
 
 
 @pytest.mark.parametrize(("line", "after"), [("X1G1", 2), ("G4P3", 30)])
@@ -322,7 +322,7 @@ def test_a_missing_answer_is_noticed_only_while_the_board_is_idle(line: str, aft
     session.output(0.0)
     hold, idle = b"<Hold:0|MPos:0,0,0|FS:0,0>\r\n", b"<Idle|MPos:0,0,0|FS:0,0>\r\n"
     for k in range(1000):
-        assert [type(m) for m in session.receive(hold, 0.1 * k)] == [Report]
+        assert [type(m) for m in session.receive(hold, 0.1 * k)] == [StatusReport]
     late = [type(m) for k in range(40) for m in session.receive(idle, 100.0 + 0.1 * k)]
     assert after <= late.index(CountBroken) <= after + 2
 
@@ -331,16 +331,16 @@ def test_work_positions_become_machine_positions_with_the_last_offset() -> None:
     session = started()
     list(session.receive(b"<Idle|MPos:1,2,3|WCO:10.000,20.000,30.000>\r\n", 0.0))
     report = next(iter(session.receive(b"<Idle|WPos:1.000,2.000,3.000|FS:0,0>\r\n", 0.1)))
-    assert isinstance(report, Report) and report.mpos_mm == (11.0, 22.0, 33.0)
+    assert isinstance(report, StatusReport) and report.mpos_mm == (11.0, 22.0, 33.0)
 
 
 def test_a_work_position_whose_offset_has_not_been_told_is_no_position() -> None:
     session = started()
     for _ in range(2):
         report = next(iter(session.receive(b"<Idle|WPos:1.000,2.000,3.000|FS:0,0>\r\n", 0.0)))
-        assert isinstance(report, Report) and report.mpos_mm is None and session.wco_mm is None
+        assert isinstance(report, StatusReport) and report.mpos_mm is None and session.wco_mm is None
         report = next(iter(session.receive(b"<Idle|WPos:1.000,2.000,3.000|WCO:-1.000,0.000,1.000>\r\n", 0.1)))
-        assert isinstance(report, Report) and report.mpos_mm == (0.0, 2.0, 4.0)
+        assert isinstance(report, StatusReport) and report.mpos_mm == (0.0, 2.0, 4.0)
         list(session.receive(b"Grbl 1.1h ['$' for help]\r\n", 0.2))  # G92 may have gone with the reset
 
 
@@ -350,7 +350,7 @@ def test_errors_belong_to_their_lines() -> None:
     session.output(0.0)
     assert list(session.receive(b"ok\r\nerror:20\r\n", 0.1)) == [
         Acknowledged(line=first),
-        Refused(line=second, code=20),
+        LineRefused(line=second, code=20),
     ]
 
 

@@ -9,6 +9,7 @@ import struct
 import pytest
 
 from gantry_driver.core.guard.messages import MAX_FRAME_BYTES, FrameError, FrameReader, frame
+from icu_common.core.reasons.message import Message, decoded
 
 LIMIT = "4194304"
 
@@ -40,3 +41,11 @@ def test_an_unreadable_frame_is_named_with_its_cause() -> None:
 def test_a_length_waits_for_its_last_byte() -> None:
     reader, data = FrameReader(), frame({"n": 1})
     assert [list(reader.feed(data[at : at + 1])) for at in range(len(data))] == [*([[]] * (len(data) - 1)), [{"n": 1}]]
+
+
+def test_a_text_with_a_code_keeps_it_and_other_values_arrive_as_they_are() -> None:
+    reason = Message("guard.driver_node_silent", silent_s=0.12)
+    (message,) = FrameReader().feed(frame({"do": "stop", "reason": reason, "age_s": 0.5, "points": [[1, 2]]}))
+    found = decoded(message.pop("reason"))
+    assert (found, found.code, dict(found.values)) == (reason, "guard.driver_node_silent", {"silent_s": 0.12})
+    assert message == {"do": "stop", "age_s": 0.5, "points": [[1, 2]]}

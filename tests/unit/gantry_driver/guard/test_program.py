@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from deadlines import wait_until
+from support.deadlines import wait_until
 
 from gantry_driver.adapters.guard.places import guard_path
 from gantry_driver.cli.gantry_guard import parser

@@ -13,7 +13,7 @@ from gantry_driver.core.grbl.contradictions import OUT_OF_TURN
 from gantry_driver.core.grbl.grbl_messages import parse_line
 from gantry_driver.core.grbl.trajectory_gcode import Waypoint
 from gantry_driver.core.machine.machine import Machine
-from gantry_driver.core.states.machine_states import CloseRequested, Note, Phase
+from gantry_driver.core.states.machine_states import CloseRequested, MachinePhase, Note
 from gantry_driver.core.wire.faults import MotionFault
 from icu_common.core.configuration.config import ConfigError
 from icu_common.core.geometry.frames import JOINTS
@@ -116,7 +116,7 @@ def test_a_board_that_is_not_idle_after_homing_is_not_homed(state: str) -> None:
     rig = Rig(CONFIG, board).connect()
     rig.step()
     assert rig.machine.home(rig.now) == ""
-    rig.until(lambda: rig.machine.phase is Phase.ALARM)
+    rig.until(lambda: rig.machine.phase is MachinePhase.ALARM)
     assert rig.machine.state_text.startswith(f"alarm: after homing the board is {state}") and not rig.machine.homed
 
 
@@ -137,7 +137,7 @@ def test_without_any_heartbeat_nothing_is_homed() -> None:
     rig.beating = False
     rig.connect()
     assert rig.machine.home(rig.now) == "no operator's heartbeat yet"
-    assert rig.machine.phase is Phase.UNHOMED
+    assert rig.machine.phase is MachinePhase.UNHOMED
 
 
 @pytest.mark.parametrize(
@@ -218,7 +218,10 @@ def test_a_fault_of_a_motion_is_its_code_as_text(fault: MotionFault) -> None:
 @pytest.mark.parametrize(
     ("make", "reason"),
     [
-        (lambda: MachineConfig(travel_mm=(360.0, 220.0)), "travel_mm = (360.0, 220.0); expected three values, for x, y and z"),
+        (
+            lambda: MachineConfig(travel_mm=(360.0, 220.0)),
+            "travel_mm = (360.0, 220.0); expected three values, for x, y and z",
+        ),
         (
             lambda: MachineConfig(travel_mm=(9.0, 9.0, 9.0), pull_off_mm=9.0),
             "pull_off_mm = 9 leaves nothing of travel_mm",

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from deadlines import wait_until
+from support.deadlines import wait_until
 
 from gantry_driver.adapters.guard import client as client_module
 from gantry_driver.adapters.guard.client import NO_ANSWER, GuardLink

@@ -6,7 +6,7 @@ import os
 from collections.abc import Callable
 
 import pytest
-from deadlines import wait_until
+from support.deadlines import wait_until
 from unit.gantry_driver.guard_rig import NotedLink, Rig, pressing
 
 from gantry_driver.adapters.guard import server as server_module

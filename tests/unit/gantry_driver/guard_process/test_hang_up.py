@@ -8,7 +8,7 @@ import termios
 from collections.abc import Iterator
 
 import pytest
-from deadlines import wait_until
+from support.deadlines import wait_until
 
 from gantry_driver.adapters.serial_link import SerialLink
 from gantry_driver.adapters.serial_port import hang_up

@@ -13,12 +13,12 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
 from gantry_driver.core.machine.machine import Machine
-from gantry_driver.core.states.machine_states import Phase
+from gantry_driver.core.states.machine_states import MachinePhase
 from icu_common.core.goals.results import Outcome
 
 UP_MM = -1.1
 """Lowest z of a lifted stylus in machine coordinates: homing ends 1 mm from the switch."""
-QUIET = Phase.STOPPED, Phase.IDLE, Phase.UNHOMED, Phase.ALARM, Phase.MISMATCH
+QUIET = MachinePhase.STOPPED, MachinePhase.IDLE, MachinePhase.UNHOMED, MachinePhase.ALARM, MachinePhase.MISMATCH
 LONGEST_S = 90.0
 """Seconds in which every motion, stop and connection has ended."""
 COLLECT_S = 1e-3
@@ -98,11 +98,14 @@ class DriverUnderCommands(RuleBasedStateMachine):
         final = Counter(r.goal_id for r in self.rig.results if r.outcome.final)
         assert all(count == 1 for count in (*accepted.values(), *final.values())), self.rig.results
         open_goals = set(accepted) - set(final)
-        assert len(open_goals) <= (self.rig.machine.phase is Phase.MOVING), (open_goals, self.rig.machine.state_text)
+        assert len(open_goals) <= (self.rig.machine.phase is MachinePhase.MOVING), (
+            open_goals,
+            self.rig.machine.state_text,
+        )
 
     @invariant()
     def a_stopped_machine_has_lifted_its_stylus_or_reports_that_it_has_not(self) -> None:
-        if self.rig.machine.phase is Phase.STOPPED and not self.rig.machine.may_be_down:
+        if self.rig.machine.phase is MachinePhase.STOPPED and not self.rig.machine.may_be_down:
             assert self.rig.mpos()[2] >= UP_MM, self.rig.machine.state_text
 
     def teardown(self) -> None:

@@ -8,7 +8,7 @@ from unit.gantry_driver.protocol_board import HOMED, Rig
 
 from gantry_driver.core.grbl.trajectory_gcode import Waypoint
 from gantry_driver.core.job import controller_messages as msg
-from gantry_driver.core.job.goal_job import Phase
+from gantry_driver.core.job.goal_job import GoalPhase
 from icu_common.core.geometry.frames import JOINTS
 from icu_common.core.goals.results import Outcome
 
@@ -17,8 +17,10 @@ WAY = "two programs publish gantry/trajectory: /foreign and /gantry/gantry_contr
 RUN_STOP = BASE_FROM_PANEL.apply([0.208, 0.127, 0.003])
 
 
-@pytest.mark.parametrize("phase", [Phase.APPROACH, Phase.LOOK, Phase.TOUCH, Phase.CONTACT, Phase.LIFT])
-def test_second_source_ends_a_press_by_a_stop_that_names_both(phase: Phase) -> None:
+@pytest.mark.parametrize(
+    "phase", [GoalPhase.APPROACH, GoalPhase.LOOK, GoalPhase.TOUCH, GoalPhase.CONTACT, GoalPhase.LIFT]
+)
+def test_second_source_ends_a_press_by_a_stop_that_names_both(phase: GoalPhase) -> None:
     bench = Bench().start()
     bench.on_phase[phase] = lambda b: b.tell(msg.Rivals(topic="panel/pose", text=POSE))
     result = bench.do("press:RUN_STOP")
@@ -67,7 +69,7 @@ def test_heartbeat_of_1970_does_not_count() -> None:
     bench = Bench()
     bench.talking -= {"heartbeat"}
     bench.start()
-    bench.tell(msg.Heartbeat(age_ns=bench.now_ns - 1_000_000_000))
+    bench.tell(msg.OperatorHeartbeat(age_ns=bench.now_ns - 1_000_000_000))
     bench.run(0.1)
     assert bench.controller.state == "waiting: no operator (heartbeat)"
     assert bench.do("press:RUN_STOP").outcome is Outcome.REJECTED and bench.paths == []
@@ -75,8 +77,8 @@ def test_heartbeat_of_1970_does_not_count() -> None:
 
 def test_old_heartbeat_does_not_make_a_young_one_old() -> None:
     bench = Bench().start()
-    bench.tell(msg.Heartbeat())
-    bench.tell(msg.Heartbeat(age_ns=10**18))
+    bench.tell(msg.OperatorHeartbeat())
+    bench.tell(msg.OperatorHeartbeat(age_ns=10**18))
     assert bench.controller.state == "ready"
 
 

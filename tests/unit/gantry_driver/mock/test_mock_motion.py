@@ -9,7 +9,7 @@ import random
 import pytest
 from unit.gantry_driver.mock_rig import Rig
 
-from gantry_driver.mock.firmware.motion import Limits, Motion, MotionEvent
+from gantry_driver.mock.firmware.motion import Limits, MotionEvent, MotionPlanner
 
 OK = b"ok\r\n"
 
@@ -230,7 +230,7 @@ def test_a_hold_in_the_last_deceleration_comes_to_rest_when_more_is_planned_behi
     rng = random.Random(1928)
     held = 0
     for _ in range(2000):
-        motion, now = Motion(limits), rng.uniform(0.0, 50.0)
+        motion, now = MotionPlanner(limits), rng.uniform(0.0, 50.0)
         blocks = rng.randint(2, 12)
         for index in range(blocks):
             motion.add((94 * (index + 1), 0, 0), now, rate=150.0)

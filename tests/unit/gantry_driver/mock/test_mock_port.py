@@ -16,7 +16,7 @@ from pathlib import Path
 
 import pytest
 import serial
-from line_socket import LineSocket
+from support.line_socket import LineSocket
 from unit.gantry_driver.mock_rig import BANNER, FREE, UNLOCK
 from unit.gantry_driver.mock_service import DEADLINE_S, Port, Running, expect, wait_for
 

@@ -97,8 +97,8 @@ def test_stepped_board_needs_who_advances_it(start_without_truth: Callable[[], N
 
 @pytest.fixture
 def start_without_truth() -> Callable[[], None]:
-    from gantry_driver.mock.machine import Machine
+    from gantry_driver.mock.machine import MockMachine
     from gantry_driver.mock.service import Service
     from gantry_driver.mock.settings import make_eeprom
 
-    return lambda: Service(Machine(make_eeprom({})), stepped=True).run()
+    return lambda: Service(MockMachine(make_eeprom({})), stepped=True).run()

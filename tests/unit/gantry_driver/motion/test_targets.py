@@ -17,7 +17,7 @@ from unit.gantry_driver.controller_bench import (
     turned,
 )
 
-from gantry_driver.core.motion.scene import PanelMap, Refused, Scene
+from gantry_driver.core.motion.scene import PanelMap, Scene, TargetRefused
 from gantry_driver.core.motion.targets import TouchConfig, highest_near, resolve, turn_points
 from icu_common.core.geometry.geometry import Array, Transform
 from icu_common.core.panel.gesture import parse_gesture
@@ -121,7 +121,7 @@ def test_smallest_of_nested_flat_areas_is_meant() -> None:
     ],
 )
 def test_refusals_say_why(command: str, words: list[str]) -> None:
-    with pytest.raises(Refused) as refusal:
+    with pytest.raises(TargetRefused) as refusal:
         resolve(parse_gesture(command), SCENE, CONFIG, wander_m=0.002)
     for word in words:
         assert word in str(refusal.value)
@@ -129,7 +129,7 @@ def test_refusals_say_why(command: str, words: list[str]) -> None:
 
 def test_leaning_panel_is_refused() -> None:
     leaning = CAMERA_FROM_BASE @ Transform(turned(0, 12.0), np.array([0.02, 0.025, -0.035]))
-    with pytest.raises(Refused, match=r"12\.0 degrees \(limit 10"):
+    with pytest.raises(TargetRefused, match=r"12\.0 degrees \(limit 10"):
         resolve(parse_gesture("press:RUN_STOP"), replace(SCENE, camera_from_panel=leaning), CONFIG, wander_m=0.002)
 
 
@@ -178,12 +178,12 @@ def test_a_dimple_is_entered_where_the_marker_says(way: float) -> None:
 
 def test_a_dimple_needs_a_known_marker_and_room_for_the_ball() -> None:
     gesture = parse_gesture("turn:CH1_SCALE:40")
-    with pytest.raises(Refused, match="finds the dimple by its marker: turn it by its name"):
+    with pytest.raises(TargetRefused, match="finds the dimple by its marker: turn it by its name"):
         resolve(gesture, with_dimple(4.0, 1.0), CONFIG, wander_m=0.002)
-    with pytest.raises(Refused, match=r"is 3 mm wide, the stylus needs more than 3\.5 mm to reach its bottom"):
+    with pytest.raises(TargetRefused, match=r"is 3 mm wide, the stylus needs more than 3\.5 mm to reach its bottom"):
         resolve(gesture, with_dimple(3.0, 1.0), CONFIG, wander_m=0.002, knob_deg=0.0)
     # A ball of 2 mm radius is sqrt(3) mm to either side at a depth of 1 mm.
-    with pytest.raises(Refused, match=r"has 14\.6 degrees of play in the dimple of CH1_SCALE \(limit 10"):
+    with pytest.raises(TargetRefused, match=r"has 14\.6 degrees of play in the dimple of CH1_SCALE \(limit 10"):
         resolve(gesture, with_dimple(6.0, 1.0), CONFIG, wander_m=0.002, knob_deg=0.0)
 
 
@@ -220,5 +220,5 @@ def test_gap_of_round_and_square_controls() -> None:
 def test_a_panel_seen_from_behind_is_refused_whatever_the_rounding(cosine: float) -> None:
     turned = Transform(np.diag([1.0, -1.0, cosine]), np.zeros(3))
     behind = replace(SCENE, camera_from_base=Transform.identity(), camera_from_panel=turned)
-    with pytest.raises(Refused, match=r"leans by 180\.0 degrees"):
+    with pytest.raises(TargetRefused, match=r"leans by 180\.0 degrees"):
         resolve(parse_gesture("press:RUN_STOP"), behind, TouchConfig(), wander_m=0.005)

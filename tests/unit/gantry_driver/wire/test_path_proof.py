@@ -14,13 +14,13 @@ import pytest
 from gantry_driver.adapters.stylus_record import StylusRecord
 from gantry_driver.core.configuration.clearance import TUBE_MM, stopping_way_mm
 from gantry_driver.core.configuration.machine_config import DriverConfig, MachineConfig, StylusConfig
-from gantry_driver.core.grbl.modes import Modes
+from gantry_driver.core.grbl.modes import RequiredModes
 from gantry_driver.core.grbl.trajectory_gcode import Waypoint, write_motion
 from gantry_driver.core.wire.stages import Script, make_script
 from gantry_driver.core.wire.watch import REPORT_LATE_S, SEGMENTS_S, PathWatch, Segment
 from gantry_driver.mock.firmware.gcode import check_line
 from gantry_driver.mock.firmware.parser_state import ParserState
-from gantry_driver.mock.firmware.words import GcodeError
+from gantry_driver.mock.firmware.words import FirmwareGcodeError
 from icu_common.core.configuration.config import ConfigError
 from icu_common.core.geometry.frames import JOINTS
 
@@ -256,7 +256,7 @@ def test_no_damaged_byte_of_a_line_in_contact_names_a_deeper_place() -> None:
             state.g92 = list(made.origin_mm)
             try:
                 block = check_line(text, state, [[0.0, 0.0, 0.0]] * 8)
-            except (GcodeError, ValueError):
+            except (FirmwareGcodeError, ValueError):
                 continue
             if block.moves and block.target[2] > -60.0:
                 assert block.target[2] >= made.origin_mm[2] - 1e-6, f"{line} as {text} goes to {block.target}"
@@ -266,7 +266,7 @@ def test_no_damaged_byte_of_a_line_in_contact_names_a_deeper_place() -> None:
 
 
 def test_modes_are_compared_by_words_and_numbers() -> None:
-    wanted = Modes(words=frozenset({"G21", "M3"}), feed_mm_min=1800.4, spindle=800.0)
+    wanted = RequiredModes(words=frozenset({"G21", "M3"}), feed_mm_min=1800.4, spindle=800.0)
     assert wanted.missing("G1 G54 G17 G21 G90 G94 M3 M9 T0 F1800 S800.") == ""
     assert wanted.missing("G1 G54 G17 G20 G90 G94 M3 M9 T0 F18000 S80") == "G21 F1800.4 S800"
     assert wanted.missing("") == "G21 M3 F1800.4 S800"

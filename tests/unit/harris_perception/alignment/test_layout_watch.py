@@ -6,7 +6,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from parameter_files import CONFIG
+from support.parameter_files import CONFIG
 from unit.harris_perception.rendered_stylus import stereo_model
 
 from harris_perception.core.alignment.control_outlines import TopShift

@@ -6,7 +6,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from pinhole import pinhole
+from support.pinhole import pinhole
 
 from harris_perception.core.alignment.pair_rotation import SideView, measure_rotation, turned_right
 from harris_perception.core.pose.planar_pose import FacePoints

@@ -15,7 +15,7 @@ import pytest
 from unit.harris_perception.drawn_board import SIZE, camera, exact, pair_poses, picture, poses
 
 from harris_perception.adapters.picture_files import read_gray
-from harris_perception.core.cameras.board import Board
+from harris_perception.core.cameras.board import CalibrationBoard
 from harris_perception.core.cameras.board_detection import BoardDetector, BoardView, out_of_line, size_shown
 from harris_perception.core.cameras.calibration_config import CalibrationConfig
 from harris_perception.core.cameras.camera_calibration import calibrate_camera
@@ -26,8 +26,8 @@ from harris_perception.core.cameras.view_coverage import CalibrationError, cover
 
 pytestmark = pytest.mark.slow
 
-BOARD = Board(columns=9, rows=6, square_m=0.025)
-CHARUCO = Board(kind="charuco", columns=9, rows=6, square_m=0.025, marker_m=0.018)
+BOARD = CalibrationBoard(columns=9, rows=6, square_m=0.025)
+CHARUCO = CalibrationBoard(kind="charuco", columns=9, rows=6, square_m=0.025, marker_m=0.018)
 CONFIG = CalibrationConfig()
 TURN = cv2.Rodrigues(np.array([0.01, 0.06, -0.02]))[0]
 SHIFT = np.array([-0.12, 0.003, 0.004])
@@ -269,7 +269,10 @@ def test_mixed_picture_sizes_are_refused() -> None:
 
 def test_pairs_count_that_show_the_same_part_of_the_board() -> None:
     """Of a charuco board each camera may see another part; what both see may be one column, or nothing."""
-    board, rng = Board(kind="charuco", columns=5, rows=8, square_m=0.03, marker_m=0.02), np.random.default_rng(3)
+    board, rng = (
+        CalibrationBoard(kind="charuco", columns=5, rows=8, square_m=0.03, marker_m=0.02),
+        np.random.default_rng(3),
+    )
     where = poses(rng, board, 9)
     right = pair_poses(where, np.eye(3), np.array([-0.1, 0.0, 0.0]))
     given = list(zip(exact(board, camera(), where, rng, 0.1), exact(board, camera("right"), right, rng, 0.1)))
@@ -354,7 +357,7 @@ def test_live_views_are_kept_when_still_and_new() -> None:
 
 
 @pytest.mark.parametrize("board", [BOARD, CHARUCO], ids=["chessboard", "charuco"])
-def test_rendered_boards_give_the_camera_back(board: Board) -> None:
+def test_rendered_boards_give_the_camera_back(board: CalibrationBoard) -> None:
     rng = np.random.default_rng(11)
     model, where = camera(), poses(rng, board, 6)
     detector = BoardDetector(board)
@@ -423,7 +426,7 @@ def test_no_lens_and_no_tilt_puts_corners_out_of_line(k1: float, k2: float) -> N
 def test_wrong_size_is_recognised() -> None:
     rng = np.random.default_rng(13)
     shown = picture(BOARD, poses(rng, BOARD, 1)[0], rng)
-    wrong = Board(columns=10, rows=7)
+    wrong = CalibrationBoard(columns=10, rows=7)
     assert BoardDetector(wrong).detect(shown, "shown") is None
     assert size_shown(shown, wrong) == (9, 6)
 

@@ -10,12 +10,12 @@ import cv2
 import numpy as np
 import pytest
 
-from harris_perception.core.cameras.board import Board, board_pdf, board_svg, rectangles
+from harris_perception.core.cameras.board import CalibrationBoard, board_pdf, board_svg, rectangles
 from harris_perception.core.cameras.board_detection import BoardDetector
 from icu_common.core.configuration.config import ConfigError
 
-CHESS = Board(columns=9, rows=6, square_m=0.024)
-CHARUCO = Board(kind="charuco", columns=9, rows=6, square_m=0.024, marker_m=0.018)
+CHESS = CalibrationBoard(columns=9, rows=6, square_m=0.024)
+CHARUCO = CalibrationBoard(kind="charuco", columns=9, rows=6, square_m=0.024, marker_m=0.018)
 PER_MM = 4
 
 
@@ -33,7 +33,7 @@ PER_MM = 4
 )
 def test_impossible_boards_are_refused(values: dict[str, Any], message: str) -> None:
     with pytest.raises(ConfigError, match=message):
-        Board(**values)
+        CalibrationBoard(**values)
 
 
 def painted_svg(text: str) -> tuple[Any, tuple[float, float]]:
@@ -70,7 +70,7 @@ def painted_pdf(document: bytes) -> tuple[Any, tuple[float, float]]:
 
 @pytest.mark.parametrize("board", [CHESS, CHARUCO], ids=["chessboard", "charuco"])
 @pytest.mark.parametrize("form", ["svg", "pdf"])
-def test_drawing_has_true_size_and_is_recognised(board: Board, form: str) -> None:
+def test_drawing_has_true_size_and_is_recognised(board: CalibrationBoard, form: str) -> None:
     pixels, size = painted_svg(board_svg(board, "a4")) if form == "svg" else painted_pdf(board_pdf(board, "a4"))
     assert size == pytest.approx((297, 210), abs=1e-3)
     view = BoardDetector(board).detect(pixels, form)
@@ -85,14 +85,14 @@ def test_drawing_has_true_size_and_is_recognised(board: Board, form: str) -> Non
 
 @pytest.mark.parametrize("board", [CHESS, CHARUCO], ids=["chessboard", "charuco"])
 @pytest.mark.parametrize("shape", [(0, 0), (1, 1), (12, 12), (5, 300), (16, 16), (17, 40)])
-def test_too_small_a_picture_shows_no_board(board: Board, shape: tuple[int, int]) -> None:
+def test_too_small_a_picture_shows_no_board(board: CalibrationBoard, shape: tuple[int, int]) -> None:
     for quick in (False, True):
         for picture in (np.zeros(shape, np.uint8), np.random.default_rng(1).integers(0, 256, shape).astype(np.uint8)):
             assert BoardDetector(board, quick=quick).detect(picture, "small") is None
 
 
 @pytest.mark.parametrize("board", [CHESS, CHARUCO], ids=["chessboard", "charuco"])
-def test_first_square_is_black_and_as_large_as_said(board: Board) -> None:
+def test_first_square_is_black_and_as_large_as_said(board: CalibrationBoard) -> None:
     first = next(rectangles(board))
     assert first == (0, 0, 0.024, 0.024, True)
     assert board.size_m == pytest.approx((0.24, 0.168))
@@ -125,7 +125,7 @@ def test_ruler_is_100_mm_and_paper_must_be_large_enough() -> None:
     ruler = [line for line in board_svg(CHESS).split("\n") if 'height="0.3"' in line]
     assert len(ruler) == 1 and 'width="100"' in ruler[0]
     with pytest.raises(ValueError, match=r"450 x 315 mm, the paper a4 297 x 210 mm"):
-        board_svg(Board(columns=9, rows=6, square_m=0.045), "a4")
+        board_svg(CalibrationBoard(columns=9, rows=6, square_m=0.045), "a4")
     with pytest.raises(ValueError, match="paper 'b5' is none of fit, a4"):
         board_pdf(CHESS, "b5")
-    assert 'width="420.0000mm"' in board_svg(Board(columns=9, rows=6, square_m=0.036), "a3")
+    assert 'width="420.0000mm"' in board_svg(CalibrationBoard(columns=9, rows=6, square_m=0.036), "a3")

@@ -16,15 +16,15 @@ import pytest
 import yaml
 from unit.harris_perception.drawn_board import camera, picture, poses
 
-from harris_perception.adapters.camera_sources import CameraConfig, open_source
+from harris_perception.adapters.camera_sources import CameraNodeConfig, open_source
 from harris_perception.cli.calibrate import main
-from harris_perception.core.cameras.board import Board
+from harris_perception.core.cameras.board import CalibrationBoard
 from harris_perception.core.cameras.view_collection import ViewCollection
 from icu_common.core.geometry.camera_model import CameraModel
 
 pytestmark = pytest.mark.slow
 
-BOARD = Board(columns=9, rows=6, square_m=0.025)
+BOARD = CalibrationBoard(columns=9, rows=6, square_m=0.025)
 SMALL = ["--chessboard", "9x6", "--square-mm", "25"]
 
 
@@ -78,7 +78,7 @@ def test_pictures_are_taken_as_the_sensor_has_them_however_it_was_held(folder: P
     model = CameraModel.load(tmp_path / "camera.yaml")
     assert model.size == (960, 720)
     assert model.k == pytest.approx(camera().k, abs=3)
-    camera_node = CameraConfig(source="images", left_path=str(tmp_path / "*.jpg"), rate_hz=240.0)
+    camera_node = CameraNodeConfig(source="images", left_path=str(tmp_path / "*.jpg"), rate_hz=240.0)
     source = open_source(camera_node, now_ns=lambda: 7, stop=threading.Event())
     assert {source.read(1.0).pictures[0].shape for _ in range(6)} == {(720, 960, 3)}
 
@@ -161,7 +161,7 @@ def test_results_are_written_though_nobody_reads_what_is_told(
 def test_views_are_collected_though_nobody_reads_what_is_told(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any
 ) -> None:
-    def collected(board: Board, *_: Any, say: Any, **__: Any) -> ViewCollection:
+    def collected(board: CalibrationBoard, *_: Any, say: Any, **__: Any) -> ViewCollection:
         for line in ("0/20 views; show the board", "1/20 views"):
             say(line)
         return ViewCollection(board, 20)

@@ -15,7 +15,7 @@ import pytest
 from harris_perception.adapters import camera_sources
 from harris_perception.adapters.camera_sources import (
     BenchSource,
-    CameraConfig,
+    CameraNodeConfig,
     SourceEnded,
     SourceError,
     V4l2Source,
@@ -61,14 +61,14 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
     return clock
 
 
-def opened(config: CameraConfig, now_ns: int = 7) -> Any:
+def opened(config: CameraNodeConfig, now_ns: int = 7) -> Any:
     return open_source(config, now_ns=lambda: now_ns, stop=threading.Event())
 
 
 def test_images_come_in_natural_order_with_the_clocks_stamp(tmp_path: Path) -> None:
     left = write_folder(tmp_path / "left", list(range(12)))
     right = write_folder(tmp_path / "right", list(range(100, 112)))
-    source = opened(CameraConfig(source="images", left_path=str(left), right_path=str(right), rate_hz=240.0))
+    source = opened(CameraNodeConfig(source="images", left_path=str(left), right_path=str(right), rate_hz=240.0))
     frames = [source.read(1.0) for _ in range(13)]
     assert [int(f.pictures[0][0, 0, 0]) for f in frames] == [*range(12), 0]
     assert [int(f.pictures[1][5, 5, 2]) for f in frames] == [*range(100, 112), 100]
@@ -77,7 +77,7 @@ def test_images_come_in_natural_order_with_the_clocks_stamp(tmp_path: Path) -> N
 
 def test_a_recording_without_loop_ends(tmp_path: Path) -> None:
     left = write_folder(tmp_path / "left", [1, 2])
-    source = opened(CameraConfig(source="images", left_path=str(left), loop=False, rate_hz=240.0))
+    source = opened(CameraNodeConfig(source="images", left_path=str(left), loop=False, rate_hz=240.0))
     assert [int(source.read(1.0).pictures[0][0, 0, 0]) for _ in range(2)] == [1, 2]
     with pytest.raises(SourceEnded):
         source.read(1.0)
@@ -85,7 +85,7 @@ def test_a_recording_without_loop_ends(tmp_path: Path) -> None:
 
 def test_a_recording_keeps_its_rate(tmp_path: Path, clock: Clock) -> None:
     left = write_folder(tmp_path / "left", [1, 2, 3])
-    config = CameraConfig(source="images", left_path=str(left), rate_hz=50.0)
+    config = CameraNodeConfig(source="images", left_path=str(left), rate_hz=50.0)
     source = open_source(config, now_ns=lambda: 7, stop=clock)
     given = []
     for _ in range(11):
@@ -103,7 +103,7 @@ def test_a_recording_keeps_its_rate(tmp_path: Path, clock: Clock) -> None:
 def test_a_set_stop_event_ends_the_pause_between_pictures(tmp_path: Path) -> None:
     left = write_folder(tmp_path / "left", [1, 2, 3])
     stop = threading.Event()
-    config = CameraConfig(source="images", left_path=str(left), rate_hz=0.01)
+    config = CameraNodeConfig(source="images", left_path=str(left), rate_hz=0.01)
     source = open_source(config, now_ns=lambda: 0, stop=stop)
     source.read(1.0)
     threading.Timer(0.05, stop.set).start()
@@ -130,27 +130,27 @@ def test_pictures_whose_names_are_not_utf8_are_read(tmp_path: Path) -> None:
     folder = write_folder(tmp_path / "left", [7, 9])
     for path in list(folder.iterdir()):
         path.rename(os.fsdecode(os.fsencode(path.with_suffix("")) + b"\xe9.png"))
-    source = opened(CameraConfig(source="images", left_path=str(folder)))
+    source = opened(CameraNodeConfig(source="images", left_path=str(folder)))
     assert [int(source.read(1.0).pictures[0][0, 0, 0]) for _ in range(2)] == [7, 9]
 
 
 def test_errors_name_the_place(tmp_path: Path) -> None:
     with pytest.raises(SourceError, match="nowhere"):
-        opened(CameraConfig(source="images", left_path=str(tmp_path / "nowhere")))
+        opened(CameraNodeConfig(source="images", left_path=str(tmp_path / "nowhere")))
     left, right = write_folder(tmp_path / "l", [1, 2, 3]), write_folder(tmp_path / "r", [1, 2])
     with pytest.raises(SourceError, match="3 left and 2 right"):
-        opened(CameraConfig(source="images", left_path=str(left), right_path=str(right)))
+        opened(CameraNodeConfig(source="images", left_path=str(left), right_path=str(right)))
     (left / "picture0.png").write_bytes(b"not a picture")
     with pytest.raises(SourceError, match=r"picture0\.png"):
-        opened(CameraConfig(source="images", left_path=str(left))).read(1.0)
+        opened(CameraNodeConfig(source="images", left_path=str(left))).read(1.0)
     with pytest.raises(SourceError, match=r"absent\.avi"):
-        opened(CameraConfig(source="video", left_path=str(tmp_path / "absent.avi")))
+        opened(CameraNodeConfig(source="video", left_path=str(tmp_path / "absent.avi")))
     with pytest.raises(SourceError, match=r"'caf\\udce9\.avi' is no UTF-8"):  # which ends the process in OpenCV
-        opened(CameraConfig(source="video", left_path="caf\udce9.avi"))
+        opened(CameraNodeConfig(source="video", left_path="caf\udce9.avi"))
     with pytest.raises(SourceError, match=r"left camera .*video-that-is-not-there"):
-        opened(CameraConfig(source="v4l2", left_device=str(tmp_path / "video-that-is-not-there")))
+        opened(CameraNodeConfig(source="v4l2", left_device=str(tmp_path / "video-that-is-not-there")))
     with pytest.raises(SourceError, match="no simulated bench"):
-        opened(CameraConfig(source="bench", bench_socket=str(tmp_path / "none.sock")))
+        opened(CameraNodeConfig(source="bench", bench_socket=str(tmp_path / "none.sock")))
 
 
 def test_video_gives_every_picture_once_at_the_files_rate(tmp_path: Path, clock: Clock) -> None:
@@ -161,7 +161,7 @@ def test_video_gives_every_picture_once_at_the_files_rate(tmp_path: Path, clock:
     for value in range(0, 250, 25):
         writer.write(numbered(value, (48, 64)))
     writer.release()
-    config = CameraConfig(source="video", left_path=str(path), loop=False)
+    config = CameraNodeConfig(source="video", left_path=str(path), loop=False)
     source = open_source(config, now_ns=lambda: 7, stop=clock)
     levels = [float(source.read(1.0).pictures[0].mean()) for _ in range(10)]
     assert clock.now == pytest.approx(0.09)
@@ -321,10 +321,10 @@ def test_v4l2_that_repeats_one_picture_with_new_stamps_is_no_live_camera() -> No
 
 def test_settings_that_belong_together() -> None:
     with pytest.raises(ConfigError, match="bench_socket"):
-        require_settings(CameraConfig())
+        require_settings(CameraNodeConfig())
     with pytest.raises(ConfigError, match="left_path"):
-        require_settings(CameraConfig(source="video"))
+        require_settings(CameraNodeConfig(source="video"))
     with pytest.raises(ConfigError, match="'MJ'"):
-        require_settings(CameraConfig(source="v4l2", fourcc="MJ"))
+        require_settings(CameraNodeConfig(source="v4l2", fourcc="MJ"))
     with pytest.raises(ConfigError, match="retry_max_s"):
-        require_settings(CameraConfig(source="v4l2", retry_min_s=2.0, retry_max_s=1.0))
+        require_settings(CameraNodeConfig(source="v4l2", retry_min_s=2.0, retry_max_s=1.0))

@@ -11,7 +11,7 @@ import pytest
 from harris_perception.core.corners import harris_laplace
 from harris_perception.core.corners.harris import HarrisConfig, HarrisDetector
 from harris_perception.core.corners.harris_laplace import HarrisLaplaceConfig, HarrisLaplaceDetector, ScaledCorners
-from harris_perception.core.evaluation.repeatability import Pair, repeatability
+from harris_perception.core.evaluation.repeatability import HomographyPair, repeatability
 
 GAUSSIAN = HarrisConfig(gradient="gaussian", window="gaussian", relative_threshold=0.001, max_corners=300)
 DETECTOR = HarrisLaplaceDetector(HarrisLaplaceConfig(detector=GAUSSIAN))
@@ -50,7 +50,7 @@ def test_corners_of_a_halved_picture_have_half_the_scale_and_repeat(seed: int) -
     first = scene(seed)
     second = cv2.resize(first, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
     h = np.array([[0.5, 0.0, -0.25], [0.0, 0.5, -0.25], [0.0, 0.0, 1.0]])
-    pair = Pair("scale", 2.0, first, second, h)
+    pair = HomographyPair("scale", 2.0, first, second, h)
     a, b = DETECTOR.detect(first), DETECTOR.detect(second)
     ours = repeatability(pair, a.xy, b.xy, (1.5,))
     print(ours)

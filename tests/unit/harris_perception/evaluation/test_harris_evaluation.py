@@ -23,7 +23,7 @@ from harris_perception.cli import harris_evaluate
 from harris_perception.cli.harris import main
 from harris_perception.cli.tables import write_table
 from harris_perception.core.evaluation.repeatability import (
-    Pair,
+    HomographyPair,
     best_on_average,
     mapped,
     means,
@@ -36,8 +36,8 @@ from harris_perception.core.evaluation.repeatability import (
 pytestmark = pytest.mark.long
 
 
-def pair(homography: np.ndarray, size: tuple[int, int] = (200, 300)) -> Pair:
-    return Pair("test", 1.0, np.zeros(size, np.uint8), np.zeros(size, np.uint8), homography)
+def pair(homography: np.ndarray, size: tuple[int, int] = (200, 300)) -> HomographyPair:
+    return HomographyPair("test", 1.0, np.zeros(size, np.uint8), np.zeros(size, np.uint8), homography)
 
 
 def test_rate_counts_pairs_within_epsilon_one_to_one() -> None:
@@ -327,7 +327,7 @@ def test_evaluate_keeps_no_more_than_one_pair_of_pictures(tmp_path: Path, monkey
         cv2.imwrite(str(tmp_path / name), photograph())
     made, most = 0, 0
 
-    def counted(*arguments: Any) -> Iterator[Pair]:
+    def counted(*arguments: Any) -> Iterator[HomographyPair]:
         nonlocal made
         for each in islice(warps(*arguments), 2):
             made += 1

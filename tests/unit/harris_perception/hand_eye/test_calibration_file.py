@@ -185,6 +185,17 @@ def test_what_is_no_mapping_is_refused(tmp_path: Path, text: str) -> None:
         load(tmp_path / "c.yaml")
 
 
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [("format: " + 5000 * "[", "more than 24 open brackets"), ("#" + 1_000_001 * " ", "1000002 bytes")],
+    ids=["deep", "long"],
+)
+def test_a_file_is_limited_before_it_is_parsed(tmp_path: Path, text: str, message: str) -> None:
+    (tmp_path / "c.yaml").write_text(text)
+    with pytest.raises(CalibrationFileError, match=f"not a hand-eye calibration: .*{message}"):
+        load(tmp_path / "c.yaml")
+
+
 def test_old_file_stays_when_the_new_one_cannot_be_written(tmp_path: Path) -> None:
     path = tmp_path / "c.yaml"
     save(stored(), path)

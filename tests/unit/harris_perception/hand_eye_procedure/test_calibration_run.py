@@ -18,8 +18,13 @@ from harris_perception.core.hand_eye.degeneracy import DegenerateError
 from harris_perception.core.hand_eye.hand_eye_config import HandEyeConfig
 from harris_perception.core.hand_eye.tip_samples import Sample
 from harris_perception.core.hand_eye_procedure.calibration_plan import RunConfig, check_plan, corners, plan
-from harris_perception.core.hand_eye_procedure.calibration_run import Action, CalibrationRun, Progress, SendGoal
-from harris_perception.core.hand_eye_procedure.calibration_solution import Failed, Finished
+from harris_perception.core.hand_eye_procedure.calibration_run import (
+    Action,
+    CalibrationRun,
+    Progress,
+    SendCalibrationGoal,
+)
+from harris_perception.core.hand_eye_procedure.calibration_solution import CalibrationFailed, CalibrationFinished
 from harris_perception.core.hand_eye_procedure.calibration_tour import Purpose
 from harris_perception.core.hand_eye_procedure.still_watch import StillConfig, StillWatch
 from harris_perception.core.pose.planar_pose import FacePoints
@@ -47,7 +52,7 @@ class Machine:
         self.stylus_scale = 1.0
         self.goals: list[tuple[float, float, float]] = []
         self.progress: list[Progress] = []
-        self.end: Finished | Failed | None = None
+        self.end: CalibrationFinished | CalibrationFailed | None = None
         self.silent = self.blind = self.dark = self.lost = False
         self.outcome, self.code = Outcome.REACHED, ""
         self.images: list[tuple[int, Any]] = []
@@ -55,7 +60,7 @@ class Machine:
 
     def act(self, actions: list[Action]) -> None:
         for action in actions:
-            if isinstance(action, SendGoal):
+            if isinstance(action, SendCalibrationGoal):
                 self.goals.append(action.xyz)
                 self.go(action)
             elif isinstance(action, Progress):
@@ -63,7 +68,7 @@ class Machine:
             else:
                 self.end = action
 
-    def go(self, goal: SendGoal) -> None:
+    def go(self, goal: SendCalibrationGoal) -> None:
         if self.fault is not None:
             self.fault(self, len(self.goals))
         if self.silent:
@@ -126,7 +131,7 @@ def machine(
 
 def test_run_finds_the_hidden_axes_and_checks_itself() -> None:
     rig = machine()
-    assert isinstance(rig.end, Finished), rig.end
+    assert isinstance(rig.end, CalibrationFinished), rig.end
     result = rig.end.calibration
     np.testing.assert_allclose(result.base_from_reading, AXES, atol=0.0004)
     np.testing.assert_allclose(result.stylus_direction, (0.001, -0.0015, -1.0), atol=0.012)
@@ -174,10 +179,10 @@ def test_a_correction_of_the_right_camera_that_begins_during_the_run_spoils_no_s
     assert off_m > 0.001
     late, early = run(17), run(1)
     for rig in (late, early):
-        assert isinstance(rig.end, Finished), rig.end
+        assert isinstance(rig.end, CalibrationFinished), rig.end
         print("held out mm", rig.end.held_out_m * 1e3)
         assert rig.end.held_out_m.max() < 0.0004
-    assert isinstance(late.end, Finished) and isinstance(early.end, Finished)
+    assert isinstance(late.end, CalibrationFinished) and isinstance(early.end, CalibrationFinished)
     query = np.array([(0.05, 0.05, 0.03), (0.3, 0.15, 0.03)])
     np.testing.assert_allclose(
         late.end.calibration.tip_in_camera(query), early.end.calibration.tip_in_camera(query), atol=2e-5
@@ -194,14 +199,14 @@ def test_held_out_positions_may_be_as_uncertain_as_all_others() -> None:
 
     rigs = [machine(seed, seen_as=place_error, places=8, max_held_out_m=0.0006) for seed in range(1, 5)]
     for rig in rigs:
-        assert isinstance(rig.end, Finished), rig.end
+        assert isinstance(rig.end, CalibrationFinished), rig.end
         print("held out mm", 1e3 * rig.end.held_out_m, "rms mm", 1e3 * rig.end.calibration.fit.rms_m)
-    assert max(float(rig.end.held_out_m.max()) for rig in rigs if isinstance(rig.end, Finished)) > 0.0006
+    assert max(float(rig.end.held_out_m.max()) for rig in rigs if isinstance(rig.end, CalibrationFinished)) > 0.0006
 
 
 def test_progress_forecasts_the_seconds_that_are_left() -> None:
     rig = machine()
-    assert isinstance(rig.end, Finished), rig.end
+    assert isinstance(rig.end, CalibrationFinished), rig.end
     first, last = rig.progress[0], rig.progress[-1]
     assert (first.done, last.remaining_s) == (0, 0.0) and 15.0 < first.remaining_s < 30.0
     # This machine is slower than the forecast's: its pace counts after three stops.
@@ -238,14 +243,14 @@ def test_the_order_of_the_positions_is_short() -> None:
 
 def test_positions_follow_one_by_one_while_the_predicted_error_is_too_large() -> None:
     every = machine(enough_m=0.0)
-    assert isinstance(every.end, Finished), every.end
+    assert isinstance(every.end, CalibrationFinished), every.end
     fit = {goal[:2] for goal in every.goals if min(goal[:2]) > 0.02}
     grid = {(x, y) for x in np.linspace(0.03, 0.33, 4).tolist() for y in np.linspace(0.03, 0.18, 3).tolist()}
     assert grid <= fit, "all of the grid, and no more after that"
     assert (every.progress[-1].done, every.progress[-1].total) == (36, 36)
     least_m = every.end.calibration.own_sigma_m(corners(run_config()))
     some = machine(enough_m=1.15 * least_m)
-    assert isinstance(some.end, Finished)
+    assert isinstance(some.end, CalibrationFinished)
     print(f"{1e3 * least_m:.4f} mm after 36, 1.15 times it after {some.progress[-1].done}")
     assert 24 < some.progress[-1].done < 36
     assert some.end.calibration.own_sigma_m(corners(run_config())) < 1.2 * least_m
@@ -255,7 +260,7 @@ def test_positions_follow_one_by_one_while_the_predicted_error_is_too_large() ->
 def test_positions_that_gain_little_are_not_visited() -> None:
     """Ordinary webcams measure the tip three to five times worse: four further positions cost 9.5 s for 16 %."""
     every = machine(enough_m=0.0)
-    assert isinstance(every.end, Finished)
+    assert isinstance(every.end, CalibrationFinished)
     least_m = every.end.calibration.own_sigma_m(corners(run_config()))
     unreachable_m = 0.3 * least_m
     assert machine(enough_m=unreachable_m, places=8).progress[-1].done == 28
@@ -267,9 +272,9 @@ def test_positions_that_gain_little_are_not_visited() -> None:
 
 def test_the_machine_moves_on_while_the_last_images_are_evaluated() -> None:
     rig = machine()
-    assert isinstance(rig.end, Finished)
+    assert isinstance(rig.end, CalibrationFinished)
     waiting = machine(fault=lambda rig, number: setattr(rig.run, "image", lambda stamp_ns, now_ns: []))
-    assert isinstance(waiting.end, Finished)
+    assert isinstance(waiting.end, CalibrationFinished)
     saved_s = (waiting.now - rig.now) * 1e-9
     print("saved", saved_s, "s")
     assert saved_s > 24 * 0.03
@@ -329,7 +334,7 @@ def blind_for_good(rig: Machine, number: int) -> None:
 )
 def test_every_wait_ends_with_its_reason(fault: Any, reason: str) -> None:
     rig = machine(fault=fault)
-    assert isinstance(rig.end, Failed)
+    assert isinstance(rig.end, CalibrationFailed)
     assert re.match(reason, rig.end.reason), rig.end.reason
     goals = len(rig.goals)
     rig.end = None
@@ -345,7 +350,7 @@ def face_below(distance_m: float) -> Transform:
 @pytest.mark.parametrize("distance_m", [0.010, 0.018, 0.025])
 def test_a_panel_that_is_too_near_is_not_touched_by_the_calibration(distance_m: float) -> None:
     rig = machine(face=face_below(distance_m))
-    assert isinstance(rig.end, Failed), rig.end
+    assert isinstance(rig.end, CalibrationFailed), rig.end
     assert "lowered by 8.0 mm the stylus could touch the panel. Its tip is" in rig.end.reason
     further = re.search(r"Move the instrument ([\d.]+) mm away", rig.end.reason)
     assert further is not None and abs(float(further[1]) - (26.0 - 1e3 * distance_m)) < 0.5, "8, 17 and 1 mm"
@@ -355,7 +360,7 @@ def test_a_panel_that_is_too_near_is_not_touched_by_the_calibration(distance_m: 
 @pytest.mark.parametrize("distance_m", [0.027, 0.030, 0.033])
 def test_the_stylus_is_lowered_less_where_there_is_less_room(distance_m: float) -> None:
     rig = machine(face=face_below(distance_m))
-    assert isinstance(rig.end, Finished), rig.end
+    assert isinstance(rig.end, CalibrationFinished), rig.end
     lowest_m = -min(z for _, _, z in rig.goals)
     assert abs(lowest_m - (distance_m - 0.018)) < 0.0004, "1 mm above what stands 17 mm high, with the ball"
     heights = face_below(distance_m).inverse().apply(POSE.apply(np.array(rig.goals)))[:, 2]
@@ -364,7 +369,7 @@ def test_the_stylus_is_lowered_less_where_there_is_less_room(distance_m: float) 
 
 def test_a_panel_that_is_far_enough_is_no_reason() -> None:
     rig = machine(face=face_below(0.035))
-    assert isinstance(rig.end, Finished)
+    assert isinstance(rig.end, CalibrationFinished)
     assert min(z for _, _, z in rig.goals) == -0.016
 
 
@@ -373,10 +378,10 @@ def test_a_place_that_was_not_seen_from_above_is_looked_at_again_before_the_styl
         rig.blind = number == 1
 
     near = machine(fault=blind_at_the_first, face=face_below(0.018))
-    assert isinstance(near.end, Failed) and "the stylus could touch the panel" in near.end.reason
+    assert isinstance(near.end, CalibrationFailed) and "the stylus could touch the panel" in near.end.reason
     assert near.goals == [(0.03, 0.03, 0.0), (0.03, 0.03, 0.0)]
     far = machine(fault=blind_at_the_first, face=face_below(0.036))
-    assert isinstance(far.end, Finished)
+    assert isinstance(far.end, CalibrationFinished)
     assert far.goals[:3] == [(0.03, 0.03, 0.0), (0.03, 0.03, 0.0), (0.03, 0.03, -0.016)]
     assert (far.progress[-1].done, far.progress[-1].note) == (far.progress[-1].total, "1 missed")
 
@@ -386,7 +391,7 @@ def test_the_stylus_is_not_lowered_where_it_is_not_seen_from_above() -> None:
         rig.blind = rig.goals[-1][:2] == (0.03, 0.03)
 
     rig = machine(fault=blind_at_the_first, face=face_below(0.036))
-    assert isinstance(rig.end, Finished)
+    assert isinstance(rig.end, CalibrationFinished)
     assert rig.goals[:2] == [(0.03, 0.03, 0.0), (0.03, 0.03, 0.0)]
     assert (0.03, 0.03, -0.016) not in rig.goals
     assert (rig.progress[-1].done, rig.progress[-1].note) == (rig.progress[-1].total, "2 missed")
@@ -400,7 +405,7 @@ def test_a_panel_that_leans_is_not_touched_at_the_held_out_places() -> None:
     print("above the panel, mm:", 1e3 * heights)
     assert heights[0] > 0.031, "enough room where the run begins"
     assert heights.min() > 0.017, "above the tallest control"
-    assert isinstance(rig.end, Failed) and "lowered by 6.0 mm the stylus could touch" in rig.end.reason
+    assert isinstance(rig.end, CalibrationFailed) and "lowered by 6.0 mm the stylus could touch" in rig.end.reason
 
 
 @pytest.mark.parametrize("scale", [2.0, 0.5, 0.0])
@@ -409,7 +414,7 @@ def test_a_stylus_that_goes_another_way_than_it_should_is_noticed_on_its_second_
         rig.stylus_scale = scale
 
     rig = machine(fault=other_steps)
-    assert isinstance(rig.end, Failed)
+    assert isinstance(rig.end, CalibrationFailed)
     found = re.match(r"lowered by 16\.0 mm the tip moved by ([\d.]+) mm: check .*\$102", rig.end.reason)
     assert found is not None and abs(float(found[1]) - 16.0 * scale) < 0.5, rig.end.reason
     assert [z for _, _, z in rig.goals].count(-0.016) == 2
@@ -419,7 +424,7 @@ def test_one_way_down_that_is_seen_wrongly_does_not_matter() -> None:
     def a_reflection(rig: Machine, number: int) -> None:
         rig.slip = np.array([0.0, 0.0, 0.006 * (number == 5)])
 
-    assert isinstance(machine(fault=a_reflection).end, Finished)
+    assert isinstance(machine(fault=a_reflection).end, CalibrationFinished)
 
 
 def test_a_few_unseen_places_do_not_matter() -> None:
@@ -427,7 +432,7 @@ def test_a_few_unseen_places_do_not_matter() -> None:
         rig.blind = number in (3, 9, 14)
 
     rig = machine(fault=blind_at_some)
-    assert isinstance(rig.end, Finished), rig.end
+    assert isinstance(rig.end, CalibrationFinished), rig.end
     assert rig.progress[-1].note == "3 missed"
 
 
@@ -436,7 +441,7 @@ def test_a_tip_that_is_nowhere_seen_is_no_matter_of_some_places() -> None:
         rig.blind = True
 
     rig = machine(fault=swapped_cameras)
-    assert isinstance(rig.end, Failed) and rig.end.reason.startswith(
+    assert isinstance(rig.end, CalibrationFailed) and rig.end.reason.startswith(
         "7 of 24 positions gave no sample; last: the cameras saw the tip"
     )
     assert "; the tip was nowhere seen by both cameras: are left and right swapped, is one upside" in rig.end.reason
@@ -459,7 +464,7 @@ def answered_late(rig: Machine, number: int) -> None:
 )
 def test_a_goal_that_was_only_late_is_sent_again_and_the_samples_are_kept(fault: Any, note: str, repeated: int) -> None:
     rig = machine(fault=fault)
-    assert isinstance(rig.end, Finished), rig.end
+    assert isinstance(rig.end, CalibrationFinished), rig.end
     plain = machine()
     assert len(rig.goals) == len(plain.goals) + repeated
     assert note in {p.note for p in rig.progress}, {p.note for p in rig.progress}
@@ -472,7 +477,7 @@ def test_a_goal_that_stays_late_ends_the_run_after_a_bounded_number_of_repetitio
         rig.outcome, rig.code = Outcome.REJECTED, "stale"
 
     rig = machine(fault=always)
-    assert isinstance(rig.end, Failed)
+    assert isinstance(rig.end, CalibrationFailed)
     assert rig.end.reason.endswith("was rejected: stale: the stamp is 0.527 s old (limit 0.5 s)")
     assert len(rig.goals) == 1 + run_config().retries
 
@@ -480,7 +485,7 @@ def test_a_goal_that_stays_late_ends_the_run_after_a_bounded_number_of_repetitio
         rig.outcome, rig.code = (Outcome.REJECTED, "stale") if number % 2 else (Outcome.REACHED, "")
 
     rig = machine(fault=often, max_retries=5)
-    assert isinstance(rig.end, Failed)
+    assert isinstance(rig.end, CalibrationFailed)
     assert len(rig.goals) == 11, "five stops, each sent twice, and one more"
 
 
@@ -490,7 +495,7 @@ def test_a_goal_that_was_rejected_for_something_else_ends_the_run_whatever_the_w
         rig.outcome, rig.code = Outcome.REJECTED, code
 
     rig = machine(fault=refuses)
-    assert isinstance(rig.end, Failed) and "stale" in rig.end.reason
+    assert isinstance(rig.end, CalibrationFailed) and "stale" in rig.end.reason
     assert len(rig.goals) == 1
 
 
@@ -515,7 +520,7 @@ def test_images_that_are_late_are_waited_for_longer(what: str, late: str) -> Non
     assert rig.end is None and rig.progress[-1].done <= done + 2
     setattr(rig, what, False)
     rig.spin(100.0)
-    assert isinstance(rig.end, Finished), rig.end
+    assert isinstance(rig.end, CalibrationFinished), rig.end
     assert (rig.progress[-1].done, rig.progress[-1].note) == (rig.progress[-1].total, "")
 
 
@@ -527,7 +532,7 @@ def test_a_goal_that_is_sent_twice_counts_once() -> None:
         return run.result(GoalResult(goal_id=goal_id, goal="", outcome=outcome, reason=reason), 3_200 * MS)
 
     (progress, again) = run.tick(3_000 * MS)
-    assert isinstance(progress, Progress) and isinstance(again, SendGoal) and again.stamp_ns == 3_000 * MS
+    assert isinstance(progress, Progress) and isinstance(again, SendCalibrationGoal) and again.stamp_ns == 3_000 * MS
     # The answers to the first goal come late; the second is rejected because the first is still running.
     assert answer("0", Outcome.ACCEPTED) == []
     assert answer(str(again.stamp_ns), Outcome.REJECTED, "busy with 'move to ...'") == []
@@ -539,7 +544,7 @@ def test_an_alarm_of_the_driver_ends_the_run() -> None:
     run = CalibrationRun(run_config(), StillConfig(), HandEyeConfig(), CAMERAS, 0)
     run.start(0)
     assert run.driver_state("moving") == []
-    assert run.driver_state("alarm: hard limit") == [Failed("the driver reports 'alarm: hard limit'")]
+    assert run.driver_state("alarm: hard limit") == [CalibrationFailed("the driver reports 'alarm: hard limit'")]
     assert run.over and run.tick(10**15) == []
 
 
@@ -558,8 +563,8 @@ def test_an_error_at_a_held_out_place_ends_the_run() -> None:
         rig.slip = np.array([0.003, 0.0, 0.0]) * (rig.goals[-1][:2] in checks)
 
     rig = machine(fault=elsewhere)
-    assert isinstance(rig.end, Failed)
-    assert re.match(r"at a held-out position the tip was [23]\.\d\d mm off (limit 1\.00 mm)", rig.end.reason)
+    assert isinstance(rig.end, CalibrationFailed)
+    assert re.match(r"at a held-out position the tip was [23]\.\d\d mm off \(limit 1\.00 mm\)", rig.end.reason)
 
 
 @pytest.mark.parametrize("after", [10, 16, 22, 23])
@@ -568,7 +573,7 @@ def test_a_slipping_drive_is_noticed_wherever_it_slips(after: int) -> None:
         rig.slip = np.array([0.003, 0.0, 0.0]) if number > after else np.zeros(3)
 
     rig = machine(fault=slips)
-    assert isinstance(rig.end, Failed), rig.end
+    assert isinstance(rig.end, CalibrationFailed), rig.end
     print(rig.end.reason)
     assert re.search(r"at a held-out position the tip was [23]|do not fit the rest|miss one another", rig.end.reason)
 

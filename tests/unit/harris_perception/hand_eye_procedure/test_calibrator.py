@@ -16,17 +16,17 @@ from harris_perception.core.hand_eye.calibration_file import StoredCalibration
 from harris_perception.core.hand_eye.carriage_camera import Contact
 from harris_perception.core.hand_eye.drift import DriftConfig
 from harris_perception.core.hand_eye_procedure.calibration_plan import RunConfig, plan
-from harris_perception.core.hand_eye_procedure.calibration_run import SendGoal
+from harris_perception.core.hand_eye_procedure.calibration_run import SendCalibrationGoal
 from harris_perception.core.hand_eye_procedure.calibrator import Calibrator
 from harris_perception.core.hand_eye_procedure.calibrator_actions import (
     Action,
-    Note,
-    Refused,
+    LogNote,
     SetAxes,
     SetPose,
     SetState,
 )
 from harris_perception.core.hand_eye_procedure.calibrator_config import CalibratorConfig
+from harris_perception.core.hand_eye_procedure.conditions import CalibrationRefused
 from harris_perception.core.hand_eye_procedure.still_watch import StillConfig
 from harris_perception.core.pose.planar_pose import FacePoints
 from icu_common.core.alignment.pair import PairCode, PairState
@@ -77,9 +77,9 @@ def test_a_run_ends_in_a_calibration_that_is_used_and_then_kept() -> None:
         calibrator.take_camera(side, camera(baseline_m=baseline), NOW_NS)
     calibrator.take_driver("idle", NOW_NS)
     now, actions = NOW_NS, calibrator.run(NOW_NS)
-    with pytest.raises(Refused, match="a calibration is already running"):
+    with pytest.raises(CalibrationRefused, match="a calibration is already running"):
         calibrator.run(now)
-    while goals := [action for action in actions if isinstance(action, SendGoal)]:
+    while goals := [action for action in actions if isinstance(action, SendCalibrationGoal)]:
         now += 100 * MS
         (goal,) = goals
         reading = np.array([goal.xyz[0], goal.xyz[1], -goal.xyz[2]])
@@ -104,7 +104,7 @@ def test_a_run_lowers_the_stylus_onto_no_control_of_the_panel_that_is_seen() -> 
             calibrator.take_camera(side, camera(baseline_m=baseline), NOW_NS)
         calibrator.take_driver("idle", NOW_NS)
         calibrator.take_controls(controls)
-        (goal,) = [action for action in calibrator.run(NOW_NS) if isinstance(action, SendGoal)]
+        (goal,) = [action for action in calibrator.run(NOW_NS) if isinstance(action, SendCalibrationGoal)]
         face = POSE @ Transform(np.eye(3), np.array([0.0, 0.0, -0.025]))  # seen only after the run has begun
         now = NOW_NS + 50 * MS
         calibrator.take_panel(now, face, now)
@@ -116,7 +116,7 @@ def test_a_run_lowers_the_stylus_onto_no_control_of_the_panel_that_is_seen() -> 
                 answer = GoalResult(goal_id=str(goal.stamp_ns), goal="", outcome=outcome)
                 actions += calibrator.take_result(answer, now)
             actions += look(calibrator, reading, now)
-            goal = next((action for action in actions if isinstance(action, SendGoal)), None)
+            goal = next((action for action in actions if isinstance(action, SendCalibrationGoal)), None)
         assert (goal is None) is bool(said), "lowered only where there is room for it"
         assert said in calibrator.state and calibrator.running is not bool(said)
 
@@ -124,7 +124,7 @@ def test_a_run_lowers_the_stylus_onto_no_control_of_the_panel_that_is_seen() -> 
 def ride(calibrator: Calibrator, base_from_panel: Transform, unseen: Sequence[int] = ()) -> list[Array]:
     """Run with cameras on the carriage, to which the panel and the tip show themselves; return the goals (3,)."""
     now, goals, actions = NOW_NS, list[Array](), calibrator.run(NOW_NS)
-    while sent := [action for action in actions if isinstance(action, SendGoal)]:
+    while sent := [action for action in actions if isinstance(action, SendCalibrationGoal)]:
         (goal,) = sent
         x, y, z = goal.xyz
         goals.append(np.array(goal.xyz))
@@ -133,7 +133,7 @@ def ride(calibrator: Calibrator, base_from_panel: Transform, unseen: Sequence[in
         actions = []
         for outcome in (Outcome.ACCEPTED, Outcome.REACHED):
             actions += calibrator.take_result(GoalResult(goal_id=str(goal.stamp_ns), goal="", outcome=outcome), now)
-        if any(isinstance(action, SendGoal) for action in actions):
+        if any(isinstance(action, SendCalibrationGoal) for action in actions):
             continue
         seen = POSE @ Transform(np.eye(3), np.array([-x, -y, 0.0])) @ base_from_panel
         for stamp in range(now + MS, now + 4 * MS, MS):
@@ -217,10 +217,10 @@ def test_a_camera_that_changes_ends_the_run_and_withdraws_the_calibration() -> N
     actions = calibrator.take_camera("left", camera(1710.0), NOW_NS)
     failed, state, axes, refused, last = actions
     why = "the left camera's calibration has changed"
-    assert failed == Note("error", f"calibration failed: {why} meanwhile")
+    assert failed == LogNote("error", f"calibration failed: {why} meanwhile")
     assert state == SetState(f"failed: {why} meanwhile")
     assert isinstance(axes, SetAxes) and axes.base_from_reading is None
-    assert refused == Note("error", f"the calibration in use does not fit: {why} by 10.00 px since this calibration")
+    assert refused == LogNote("error", f"the calibration in use does not fit: {why} by 10.00 px since this calibration")
     assert last == SetState(f"failed: the calibration in use does not fit: {why} by 10.00 px since this calibration")
     assert (calibrator.stored, calibrator.drift, calibrator.running, calibrator.level) == (None, None, False, "error")
     assert calibrator.close() == [], "there is no run any more that could be cut short"
@@ -255,7 +255,7 @@ def test_a_withdrawn_calibration_is_used_again_with_the_very_same_camera(side: s
         assert not used_again(calibrator.take_settings("", NOW_NS), calibrator)
     assert used_again(calibrator.take_camera(side, camera(baseline_m=baseline_m), NOW_NS + 1), calibrator)
     changed = calibrator.take_camera("left", camera(1710.0), NOW_NS + 2)
-    assert kinds(changed) == ["SetAxes", "Note", "SetState"]
+    assert kinds(changed) == ["SetAxes", "LogNote", "SetState"]
     assert (
         "the calibration in use does not fit: the left camera's calibration has changed by 10.00 px" in calibrator.state
     )
@@ -266,7 +266,7 @@ def test_the_file_is_used_once_its_cameras_come_after_others() -> None:
     calibrator = Calibrator(CONFIG)
     calibrator.offer(STORED)
     calibrator.take_camera("left", camera(1710.0), NOW_NS)
-    assert kinds(calibrator.take_camera("right", camera(baseline_m=0.12), NOW_NS)) == ["Note", "SetState"]
+    assert kinds(calibrator.take_camera("right", camera(baseline_m=0.12), NOW_NS)) == ["LogNote", "SetState"]
     refused = (
         "failed: the stored calibration does not fit: the left camera's calibration has changed by 10.00 px since this"
     )
@@ -278,7 +278,7 @@ def test_the_file_is_used_once_its_cameras_come_after_others() -> None:
 def test_settings_that_come_back_bring_the_calibration_back_but_not_into_a_run() -> None:
     stored = dataclasses.replace(STORED, settings="$100=80.000")
     calibrator = calibrated(stored)
-    assert kinds(calibrator.take_settings("$100=40.000", NOW_NS)) == ["SetAxes", "Note", "SetState"]
+    assert kinds(calibrator.take_settings("$100=40.000", NOW_NS)) == ["SetAxes", "LogNote", "SetState"]
     assert "the calibration in use does not fit: the machine's settings have changed" in calibrator.state
     calibrator.take_driver("idle", NOW_NS)
     calibrator.run(NOW_NS)
@@ -288,7 +288,7 @@ def test_settings_that_come_back_bring_the_calibration_back_but_not_into_a_run()
     assert kinds(calibrator.take_settings("$100=80.000", NOW_NS)) == ["SetSigma", "SetAxes", "SetPose", "SetState"]
     assert calibrator.stored is stored
     other = dataclasses.replace(CONFIG, machine="other")
-    assert kinds(calibrator.configure(other, NOW_NS)) == ["SetAxes", "Note", "SetState"]
+    assert kinds(calibrator.configure(other, NOW_NS)) == ["SetAxes", "LogNote", "SetState"]
     assert kinds(calibrator.configure(CONFIG, NOW_NS)) == ["SetSigma", "SetAxes", "SetPose", "SetState"]
     assert calibrator.stored is stored
 
@@ -303,7 +303,7 @@ def test_a_withdrawn_calibration_does_not_replace_the_one_that_was_made_since() 
     calibrator.solve(now)
     made = calibrator.stored
     assert made is not None and (made.samples, made.settings) == (6, "$100=40.000")
-    assert kinds(calibrator.take_settings("$100=80.000", now)) == ["SetAxes", "Note", "SetState"]
+    assert kinds(calibrator.take_settings("$100=80.000", now)) == ["SetAxes", "LogNote", "SetState"]
     assert calibrator.stored is None and "$100 was 40.000, now 80.000" in calibrator.state
     assert calibrator.take_settings("$100=80.000", now) == []
     calibrator.take_settings("$100=40.000", now)
@@ -327,14 +327,14 @@ def test_drift_is_told_when_it_begins_and_when_it_ends() -> None:
         now += 1000 * MS
         look(calibrator, reading + np.array([off_m / 10, 0.0, 0.0]), now, off_m)
         told.append(kinds(calibrator.look_around(now + 10 * MS)))
-    assert told == [[], ["Note", "SetState"], [], ["Note", "SetState"], []]
+    assert told == [[], ["LogNote", "SetState"], [], ["LogNote", "SetState"], []]
     assert calibrator.state == f"calibrated: {STORED.summary()}"
 
 
 def test_one_burst_of_sightings_is_one_look_at_drift() -> None:
     calibrator, reading = calibrated(dataclasses.replace(STORED, base_from_panel=Transform.identity())), np.zeros(3)
     beside = Transform(POSE.rotation, POSE.translation + (0.003, 0.0, 0.0))
-    for burst, told in enumerate(([], ["Note", "SetState"])):
+    for burst, told in enumerate(([], ["LogNote", "SetState"])):
         now = NOW_NS + burst * 1000 * MS
         look(calibrator, reading, now, 0.003)
         for sighting in range(1, 4):
@@ -356,7 +356,7 @@ def test_homing_begins_the_readings_anew() -> None:
     look(calibrator, reading, NOW_NS)
     assert calibrator.add_sample(NOW_NS + 4 * MS).startswith("sample 1 at readings x = 200.0, y = 100.0")
     (note,) = calibrator.take_contact(np.array([0.15, 0.08, 0.0]), PANEL, NOW_NS + 4 * MS)
-    assert note == Note("info", "contact 1 at 0.1500, 0.0800 m of the panel")
+    assert note == LogNote("info", "contact 1 at 0.1500, 0.0800 m of the panel")
     calibrator.take_driver("homing", NOW_NS)
     assert (calibrator.samples, calibrator.contacts) == ([], [])
 
@@ -368,7 +368,7 @@ def test_what_was_seen_with_the_camera_before_is_no_sample_and_no_place_of_the_p
     look(calibrator, reading, NOW_NS)
     calibrator.take_panel(NOW_NS, POSE, NOW_NS)
     calibrator.take_camera("left", camera(1710.0), NOW_NS + 4 * MS)
-    with pytest.raises(Refused, match="the cameras saw the tip 0 of 3 times"):
+    with pytest.raises(CalibrationRefused, match="the cameras saw the tip 0 of 3 times"):
         calibrator.add_sample(NOW_NS + 5 * MS)
     calibrator.take_camera("left", camera(), NOW_NS + 6 * MS)
     now = NOW_NS

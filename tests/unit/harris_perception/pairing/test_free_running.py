@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from unit.harris_perception.rendered_stylus import stereo_model
 
-from harris_perception.pairing.free_pairs import FreePairs, Pair
+from harris_perception.pairing.free_pairs import FreePairs, ImagePair
 from harris_perception.pairing.free_tips import FreeTips
 from harris_perception.pairing.offset import OffsetEstimator
 from harris_perception.pairing.report import INTERPOLATED, NO_PAIR, TOGETHER, pairing_report, pairing_values
@@ -107,7 +107,7 @@ def test_the_phase_may_drift_through_all_of_the_period() -> None:
 def test_synchronous_cameras_are_paired_at_once_also_where_images_are_lost() -> None:
     pairs = FreePairs(tolerance_ns=TOLERANCE)
     rng = np.random.default_rng(3)
-    made: list[Pair] = []
+    made: list[ImagePair] = []
     both = 0
     for k in range(300):
         stamp = 1_000_000_000 + k * PERIOD

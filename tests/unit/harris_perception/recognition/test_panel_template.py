@@ -12,7 +12,15 @@ from harris_perception.core.recognition.panel_template import (
     outline_mm,
     panel_template,
 )
-from icu_common.core.panel.panel_layout import Circle, Control, Line, PanelLayout, Rectangle, Text, parse_layout
+from icu_common.core.panel.panel_layout import (
+    ArtworkCircle,
+    ArtworkLine,
+    ArtworkRectangle,
+    ArtworkText,
+    Control,
+    PanelLayout,
+    parse_layout,
+)
 
 
 def layout(*artwork: object, controls: tuple[Control, ...] = ()) -> PanelLayout:
@@ -45,16 +53,16 @@ PLAIN = Control(name="C", kind="connector", position_mm=(55.0, 35.0), size_mm=(2
 @pytest.mark.parametrize(
     ("item", "area", "centre"),
     [
-        (Rectangle(rectangle_mm=(10.13, 5.27, 8.61, 4.43), fill="#ffffff"), 8.61 * 4.43, (14.435, 7.485)),
-        (Circle(circle_mm=(20.31, 17.77, 6.2), fill="#ffffff"), np.pi * 6.2**2, (20.31, 17.77)),
-        (Circle(circle_mm=(20.31, 17.77, 6.2), outline="#ffffff", line_mm=1.0), 2 * np.pi * 6.2, (20.31, 17.77)),
+        (ArtworkRectangle(rectangle_mm=(10.13, 5.27, 8.61, 4.43), fill="#ffffff"), 8.61 * 4.43, (14.435, 7.485)),
+        (ArtworkCircle(circle_mm=(20.31, 17.77, 6.2), fill="#ffffff"), np.pi * 6.2**2, (20.31, 17.77)),
+        (ArtworkCircle(circle_mm=(20.31, 17.77, 6.2), outline="#ffffff", line_mm=1.0), 2 * np.pi * 6.2, (20.31, 17.77)),
         (
-            Rectangle(rectangle_mm=(10.13, 5.27, 8.61, 4.43), outline="#ffffff", line_mm=1.0),
+            ArtworkRectangle(rectangle_mm=(10.13, 5.27, 8.61, 4.43), outline="#ffffff", line_mm=1.0),
             2 * (8.61 + 4.43),
             (14.435, 7.485),
         ),
         (
-            Line(line_from_to_mm=(5.2, 8.1, 31.7, 22.4), colour="#ffffff", line_mm=0.9),
+            ArtworkLine(line_from_to_mm=(5.2, 8.1, 31.7, 22.4), colour="#ffffff", line_mm=0.9),
             0.9 * np.hypot(26.5, 14.3) + np.pi * 0.45**2,
             (18.45, 15.25),
         ),
@@ -68,7 +76,7 @@ def test_area_and_place_of_artwork(item: object, area: float, centre: tuple[floa
 
 
 def test_text_is_centred_and_as_high_as_asked() -> None:
-    drawn = draw_panel(layout(Text(text="HOH", at_mm=(30.0, 20.0), height_mm=6.0, colour="#ffffff")), 10.0)
+    drawn = draw_panel(layout(ArtworkText(text="HOH", at_mm=(30.0, 20.0), height_mm=6.0, colour="#ffffff")), 10.0)
     rows = np.flatnonzero(drawn[..., 0][:, :400].max(axis=1) > 128)
     columns = np.flatnonzero(drawn[..., 0][:, :400].max(axis=0) > 128)
     assert (rows[0] + rows[-1]) / 2 == pytest.approx(199.5, abs=1.0)
@@ -79,8 +87,8 @@ def test_text_is_centred_and_as_high_as_asked() -> None:
 def test_later_artwork_and_controls_lie_on_top() -> None:
     drawn = draw_panel(
         layout(
-            Rectangle(rectangle_mm=(0.0, 0.0, 60.0, 40.0), fill="#ff0000"),
-            Rectangle(rectangle_mm=(10.0, 10.0, 10.0, 10.0), fill="#00ff00"),
+            ArtworkRectangle(rectangle_mm=(0.0, 0.0, 60.0, 40.0), fill="#ff0000"),
+            ArtworkRectangle(rectangle_mm=(10.0, 10.0, 10.0, 10.0), fill="#00ff00"),
         ),
         2.0,
     )
@@ -99,7 +107,7 @@ def test_homography_maps_mm_to_pixel_centres() -> None:
 
 @pytest.mark.parametrize("px_per_mm", [4.0, 2.51, 1.26])
 def test_homography_of_a_picture_that_is_made_smaller_to_whole_pixels(px_per_mm: float) -> None:
-    face = layout(Rectangle(rectangle_mm=(45.0, 30.0, 9.0, 5.0), fill="#ffffff"), controls=(PLAIN,))
+    face = layout(ArtworkRectangle(rectangle_mm=(45.0, 30.0, 9.0, 5.0), fill="#ffffff"), controls=(PLAIN,))
     template = panel_template(face, px_per_mm, draw_panel(face, 8.0), 8.0)
     light = template.gray[:, template.gray.shape[1] // 2 :].astype(float)
     light = np.hstack([np.zeros((len(light), template.gray.shape[1] // 2)), light - light.min()])
@@ -115,7 +123,7 @@ def test_screens_lamps_and_proud_controls_are_not_steady_and_text_is_not_exact()
         Control(name="PROUD", kind="button", position_mm=(50.0, 10.0), size_mm=(6.0, 6.0), height_mm=3.0),
         Control(name="FLAT", kind="connector", position_mm=(10.0, 10.0), size_mm=(6.0, 6.0)),
     )
-    template = panel_template(layout(Text(text="AB", at_mm=(30.0, 5.0)), controls=controls), 4.0)
+    template = panel_template(layout(ArtworkText(text="AB", at_mm=(30.0, 5.0)), controls=controls), 4.0)
 
     def at(mask: np.ndarray, x: float, y: float) -> bool:
         return bool(mask[round((40.0 - y) * 4), round(x * 4)])
@@ -124,7 +132,7 @@ def test_screens_lamps_and_proud_controls_are_not_steady_and_text_is_not_exact()
     assert at(template.steady, 10, 10) and at(template.exact, 10, 10)
     assert at(template.steady, 30, 5) and not at(template.exact, 30, 5)
     assert at(template.exact, 30, 20)
-    photo = panel_template(layout(Text(text="AB", at_mm=(30.0, 5.0))), 4.0, np.zeros((80, 120), np.uint8), 2.0)
+    photo = panel_template(layout(ArtworkText(text="AB", at_mm=(30.0, 5.0))), 4.0, np.zeros((80, 120), np.uint8), 2.0)
     assert at(photo.exact, 30, 5)
 
 

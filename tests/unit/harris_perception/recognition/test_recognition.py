@@ -11,7 +11,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from pinhole import pinhole
+from support.pinhole import pinhole
 from unit.harris_perception import panel_scene as scene
 
 from harris_perception.core.corners.harris import HarrisConfig, HarrisDetector
@@ -25,7 +25,7 @@ from harris_perception.core.recognition.recognition import PanelRecogniser, Reco
 from icu_common.core.configuration.config import ConfigError
 from icu_common.core.geometry.camera_model import CameraModel
 from icu_common.core.geometry.geometry import Transform
-from icu_common.core.panel.panel_layout import Control, PanelLayout, Text, load_layout
+from icu_common.core.panel.panel_layout import ArtworkText, Control, PanelLayout, load_layout
 
 pytestmark = pytest.mark.slow
 
@@ -265,7 +265,7 @@ def test_face_without_print_is_refused() -> None:
     )
     with pytest.raises(ValueError, match="the face of bare has too little print"):
         PanelRecogniser(bare)
-    worded = dataclasses.replace(bare, artwork=(Text(text="ONLY WORDS", at_mm=(50.0, 20.0), height_mm=9.0),))
+    worded = dataclasses.replace(bare, artwork=(ArtworkText(text="ONLY WORDS", at_mm=(50.0, 20.0), height_mm=9.0),))
     with pytest.raises(ValueError, match="the face of bare has too little print"):
         PanelRecogniser(worded)
 

@@ -8,7 +8,7 @@ import math
 import cv2
 import numpy as np
 import pytest
-from parameter_files import CONFIG
+from support.parameter_files import CONFIG
 
 from harris_perception.core.recognition.screen_watch import ScreenCells
 from harris_perception.core.recognition.state_config import StateConfig

@@ -14,14 +14,14 @@ import pytest
 from unit.harris_perception.rendered_stylus import MAGENTA, STEREO, TIP, Look, draw, render, stereo_model
 
 from harris_perception.core.stylus.stylus import StylusTracker
-from harris_perception.core.stylus.stylus_config import StylusConfig
+from harris_perception.core.stylus.stylus_config import StylusSearchConfig
 from icu_common.core.configuration.config import ConfigError
 
 pytestmark = pytest.mark.slow
 
 
 def tracker(**settings: Any) -> StylusTracker:
-    return StylusTracker(StylusConfig(**settings), STEREO)
+    return StylusTracker(StylusSearchConfig(**settings), STEREO)
 
 
 def pair(tip: Any = TIP, look: Look | None = None, seed: int = 3) -> list[np.ndarray[Any, Any]]:
@@ -116,7 +116,7 @@ def test_the_error_is_the_same_at_both_ends_of_the_travel() -> None:
         for seed in range(8):
             rng = np.random.default_rng(100 + seed)
             tip = np.array([x + rng.uniform(-0.003, 0.003), rng.uniform(-0.06, 0.06), 0.66])
-            found = StylusTracker(StylusConfig(), stereo).find(*render(stereo, tip, rng, look))
+            found = StylusTracker(StylusSearchConfig(), stereo).find(*render(stereo, tip, rng, look))
             assert found.tip is not None and found.left is not None and found.right is not None, found.reason
             off.append((found.tip - tip) * 1e3)
             rows.append(found.left.centre_px[1] - found.right.centre_px[1])
@@ -265,7 +265,7 @@ def test_wrong_input_is_named() -> None:
     with pytest.raises(ValueError, match=r"\(480, 800, 3\) uint16: \(480, 800, 3\) uint8 is calibrated"):
         tracker().find(deep, deep)
     with pytest.raises(ConfigError, match="max_depth_m"):
-        StylusConfig(min_depth_m=1.0, max_depth_m=0.5)
+        StylusSearchConfig(min_depth_m=1.0, max_depth_m=0.5)
 
 
 @functools.cache

@@ -11,10 +11,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from foreign_bags import FORMS, STRING, bag, text
 from mcap.writer import CompressionType, IndexType, Writer
 from rosbags.rosbag1 import Writer as Ros1Writer
 from rosbags.typesys import Stores, get_typestore
+from support.foreign_bags import FORMS, STRING, bag, text
 
 from icu_bringup.adapters.bag.bag_reader import BagReader
 from icu_bringup.adapters.bag.bags import BagError

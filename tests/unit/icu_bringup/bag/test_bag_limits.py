@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 import yaml
-from foreign_bags import STRING, text
 from mcap.reader import make_reader
+from support.foreign_bags import STRING, text
 
 from icu_bringup.adapters.bag.bag_reader import BagReader
 from icu_bringup.adapters.bag.bag_sink import BagSink

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 import yaml
-from foreign_bags import FORMS, STRING, STRING_HASH, bag, text
 from rosbags.interfaces import QosDurability, QosReliability
+from support.foreign_bags import FORMS, STRING, STRING_HASH, bag, text
 
 from icu_bringup.adapters.bag.bag_reader import BagReader
 from icu_bringup.adapters.bag.bags import BagTopic

@@ -13,7 +13,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from icu_bringup.core.check import report
 from icu_bringup.core.check.comparison import (
-    Message,
+    ComparedMessage,
     Row,
     TopicMessages,
     compare,
@@ -89,7 +89,7 @@ def diagnostics(**values: str) -> Any:
 
 def topic(*messages: Any) -> TopicMessages:
     kind = messages[0].__msgtype__
-    return TopicMessages(type=kind, messages=tuple(Message(stamp_ns(m), values_of(m)) for m in messages))
+    return TopicMessages(type=kind, messages=tuple(ComparedMessage(stamp_ns(m), values_of(m)) for m in messages))
 
 
 def numbers(*values: float) -> Value:
@@ -201,7 +201,7 @@ def test_messages_are_matched_by_stamp_and_without_stamps_by_place() -> None:
     old, new = topic(pose(1, stamp=1), pose(2, stamp=2)), topic(pose(2, stamp=2), pose(3, stamp=3))
     pairs = matched(old.messages, new.messages)
     assert [after and after.stamp_ns for _, after in pairs] == [None, 2]
-    unstamped = [Message(0, {"data": numbers(v)}) for v in range(6)]
+    unstamped = [ComparedMessage(0, {"data": numbers(v)}) for v in range(6)]
     pairs = matched(unstamped[::3], unstamped, every=3)
     assert [after.values["data"].data[0] if after else None for _, after in pairs] == [0.0, 3.0]
 
@@ -311,7 +311,7 @@ def test_an_expectation_is_the_same_after_writing_and_reading() -> None:
         ("{version: 1, messages: m, extra: 1}", "unknown extra"),
         ("{version: 1, topics: {}}", "messages: a text is expected"),
         ("{version: 1, messages: m, run: {moving: 1}}", "run.moving: bool is expected, got 1"),
-        ("{version: 1, messages: m, run: {nodes: corners}}", "run.nodes; expected a list of texts is expected"),
+        ("{version: 1, messages: m, run: {nodes: corners}}", "run.nodes: a list of texts is expected"),
         ("{version: 1, messages: m, topics: {/a: {type: t, messages: -1}}}", "/a: messages: a number of at least 0"),
         (
             "{version: 1, messages: m, topics: {/a: {type: t, fields: {x: {absolut: 1}}}}}",

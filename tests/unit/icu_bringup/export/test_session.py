@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from unit.icu_bringup.export import recorded_session as recorded
 
-from icu_bringup.export.core.session import Session
+from icu_bringup.export.core.session import RecordedSession
 
 NS = 1_000_000_000
 
 
 @pytest.mark.parametrize(("frame", "name"), [("", ""), ("press/", ""), ("own", "own"), ("press/own", "own")])
 def test_a_rejected_trajectory_commands_nothing_whatever_its_name(frame: str, name: str) -> None:
-    session = Session()
+    session = RecordedSession()
     for topic, seconds, message in recorded.rows():
         if topic == "/gantry/trajectory":
             message.header.frame_id = frame

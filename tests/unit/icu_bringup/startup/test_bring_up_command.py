@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from deadlines import wait_until
+from support.deadlines import wait_until
 
 from icu_bringup.cli import bring_up, composed
 from icu_common.adapters.configuration_folder import configuration_folder

@@ -19,7 +19,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from small_terminal import SmallTerminal
+from unit.icu_bringup.startup.small_terminal import SmallTerminal
 
 pytestmark = pytest.mark.slow
 

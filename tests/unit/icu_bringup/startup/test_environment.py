@@ -14,7 +14,7 @@ from types import SimpleNamespace
 import pytest
 
 from icu_bringup.adapters import environment, graph_names
-from icu_bringup.core.startup.graph_description import GraphError
+from icu_bringup.core.startup.graph_description import GraphDescriptionError
 
 
 @pytest.fixture
@@ -26,7 +26,9 @@ def taken() -> Iterator[int]:
 
 def test_a_port_in_use_is_replaced_or_named(taken: int) -> None:
     assert not environment.is_free("127.0.0.1", taken)
-    with pytest.raises(GraphError, match=rf"port {taken} is in use by another program; .*--set ui_bridge.port=\d+$"):
+    with pytest.raises(
+        GraphDescriptionError, match=rf"port {taken} is in use by another program; .*--set ui_bridge.port=\d+$"
+    ):
         environment.free_port("127.0.0.1", taken, may_choose=False)
     chosen = environment.free_port("127.0.0.1", taken, may_choose=True)
     assert taken < chosen <= taken + 50 and environment.is_free("127.0.0.1", chosen)
@@ -48,7 +50,7 @@ def test_a_port_that_another_bring_up_has_chosen_is_not_free_before_its_page_lis
 def test_a_full_disk_is_one_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     environment.check_space(tmp_path)
     monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=5 << 20))
-    with pytest.raises(GraphError, match=rf"the disk of {tmp_path} is full: 5 MB are free.*--state FOLDER$"):
+    with pytest.raises(GraphDescriptionError, match=rf"the disk of {tmp_path} is full: 5 MB are free.*--state FOLDER$"):
         environment.check_space(tmp_path)
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from icu_bringup.core.startup.graph_description import GraphError, load_graph
+from icu_bringup.core.startup.graph_description import GraphDescriptionError, load_graph
 
 TABLE = """\
 scope: dial
@@ -99,18 +99,26 @@ def test_command_line_of_a_node(config: Path) -> None:
         ("[--link, $(run)/b]", "--link", "board: arguments = '--link'; expected a list of texts"),
         ("[--link, $(run)/b]", "[--baud, 9600]", r"board: arguments = \['--baud', 9600\]; expected a list of texts"),
         ("only: [bench], arguments", "only: bench, arguments", "board: only = 'bench'; expected a list of texts"),
-        ("parameters: [params/eye.yaml]", "parameters: params/eye.yaml", "eye: parameters = 'params/eye.yaml'; expected a list"),
+        (
+            "parameters: [params/eye.yaml]",
+            "parameters: params/eye.yaml",
+            "eye: parameters = 'params/eye.yaml'; expected a list",
+        ),
         ("{image: stereo/left/image, local: /abs}", "image", "eye: remap = 'image'; expected a mapping"),
         ("hardware: {set: {a: 3}}", "hardware: {set: }", "eye: when hardware: set = None; expected a mapping"),
         ("hardware: {set: {a: 3}}", "hardware:", "eye: when hardware = None; expected a mapping"),
         ("{about: simulated}", "{about: simulated, extends: test}", "profile bench extends itself"),
-        ("recorded, set: {use_sim_time: true, a: 7}", "recorded, set: a", "profile replay: set = 'a'; expected a mapping"),
+        (
+            "recorded, set: {use_sim_time: true, a: 7}",
+            "recorded, set: a",
+            "profile replay: set = 'a'; expected a mapping",
+        ),
     ],
 )
 def test_errors(config: Path, old: str, new: str, message: str) -> None:
     assert old in TABLE
     (config / "graph.yaml").write_text(TABLE.replace(old, new))
-    with pytest.raises(GraphError, match=message):
+    with pytest.raises(GraphDescriptionError, match=message):
         load(config, "bench")
 
 
@@ -137,7 +145,7 @@ def test_a_parameter_file_that_is_wrong_or_would_be_ignored_in_part_is_refused(
     config: Path, text: str, message: str
 ) -> None:
     (config / "params" / "eye.yaml").write_text(text, encoding="latin-1")
-    with pytest.raises(GraphError, match=message):
+    with pytest.raises(GraphDescriptionError, match=message):
         load(config, "bench")
 
 
@@ -149,7 +157,9 @@ def test_every_way_to_name_a_node_in_a_parameter_file_is_known(config: Path, nod
 
 def test_unknown_scope_and_profile(config: Path) -> None:
     for scope in ("gauge", "../graph", "dial/", f"{config}/scopes/dial"):
-        with pytest.raises(GraphError, match=f"scope '{scope}' is none of the models in {config}/scopes: dial"):
+        with pytest.raises(
+            GraphDescriptionError, match=f"scope '{scope}' is none of the models in {config}/scopes: dial"
+        ):
             load_graph(config, "bench", run=Path("/r"), state=Path("/s"), scope=scope)
-    with pytest.raises(GraphError, match="'moon' is none of bench, test, hardware, replay"):
+    with pytest.raises(GraphDescriptionError, match="'moon' is none of bench, test, hardware, replay"):
         load(config, "moon")

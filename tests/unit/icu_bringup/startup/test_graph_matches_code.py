@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from parameter_files import file_values
 from rclpy.node import Node
+from support.parameter_files import file_values
 from unit.icu_bringup.graph_programs import ROOT, config_class, entry_points, programs
 
 from icu_bringup.core.startup.graph_description import Program

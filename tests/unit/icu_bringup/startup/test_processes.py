@@ -10,7 +10,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
-from deadlines import wait_until
+from support.deadlines import wait_until
 from unit.icu_bringup.process_rig import PYTHON, Clock, Watch, alive, clock, interruptible, state_of
 
 from icu_bringup.adapters import processes, watched_program

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from small_terminal import SmallTerminal
+from unit.icu_bringup.startup.small_terminal import SmallTerminal
 
 from icu_bringup.core.startup.qr_code import qr_modules
 from icu_bringup.core.startup.run_words import (
@@ -24,7 +24,7 @@ from icu_bringup.core.startup.terminal_layout import (
     redraw,
     without_controls,
 )
-from icu_common.core.processes.preparation import Cause, Report, Stage
+from icu_common.core.processes.preparation import PreparationCause, PreparationReport, PreparationStage
 
 ADDRESS = "http://127.0.0.1:8080/?token=" + "k" * 43
 NOTES = ("Ready: the machine is homed and calibrated.", "Ctrl-C ends every program.")
@@ -105,13 +105,20 @@ def test_the_remaining_time_follows_the_progress() -> None:
 
 def test_words_of_the_steps() -> None:
     assert starting(7, 14).text == "starting 7/14"
-    assert preparing(Report(stage=Stage.HOMING), None).text == "homing"
-    report = Report(stage=Stage.CALIBRATING, done=12, total=24, missed=1)
+    assert preparing(PreparationReport(stage=PreparationStage.HOMING), None).text == "homing"
+    report = PreparationReport(stage=PreparationStage.CALIBRATING, done=12, total=24, missed=1)
     status = preparing(report, 40)
     assert status.text == "calibrating 12/24, 1 missed, about 40 s left" and (status.done, status.total) == (12, 24)
-    late = Report(stage=Stage.FAILED, failed_at=Stage.CAMERAS, cause=Cause.TIMED_OUT, text="no picture")
+    late = PreparationReport(
+        stage=PreparationStage.FAILED,
+        failed_at=PreparationStage.CAMERAS,
+        cause=PreparationCause.TIMED_OUT,
+        text="no picture",
+    )
     assert failure(late) == "The preparation took too long while waiting for the cameras: no picture"
-    refused = Report(stage=Stage.FAILED, failed_at=Stage.HOMING, cause=Cause.REFUSED, text="alarm")
+    refused = PreparationReport(
+        stage=PreparationStage.FAILED, failed_at=PreparationStage.HOMING, cause=PreparationCause.REFUSED, text="alarm"
+    )
     assert failure(refused) == "The preparation failed while homing: alarm"
     assert next_step(key=True, page=True).startswith(
         "To repeat it, type r and Enter here or press Calibrate on the page"
@@ -120,6 +127,8 @@ def test_words_of_the_steps() -> None:
 
 
 def test_only_slowness_repeats_by_itself_and_not_for_ever() -> None:
-    late = Report(stage=Stage.FAILED, failed_at=Stage.CAMERAS, cause=Cause.TIMED_OUT)
+    late = PreparationReport(
+        stage=PreparationStage.FAILED, failed_at=PreparationStage.CAMERAS, cause=PreparationCause.TIMED_OUT
+    )
     assert [repeats_by_itself(late, n) for n in range(AUTOMATIC_REPEATS + 1)] == [True] * AUTOMATIC_REPEATS + [False]
-    assert not repeats_by_itself(Report(stage=Stage.FAILED, cause=Cause.REFUSED), 0)
+    assert not repeats_by_itself(PreparationReport(stage=PreparationStage.FAILED, cause=PreparationCause.REFUSED), 0)

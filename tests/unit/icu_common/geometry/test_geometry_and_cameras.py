@@ -172,3 +172,18 @@ def test_calibration_file_round_trip(tmp_path: Path) -> None:
         path.write_bytes(content)
         with pytest.raises(ValueError, match=r"camera\.yaml: not a camera calibration"):
             CameraModel.load(path)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("camera_matrix: " + 5000 * "[", "more than 24 open brackets"),
+        ("#" + 1_000_001 * " ", "1000002 bytes"),
+        ("image_width: 1\nimage_width: 2\n", "image_width"),
+    ],
+    ids=["deep", "long", "a key twice"],
+)
+def test_a_calibration_file_is_limited_before_it_is_parsed(tmp_path: Path, text: str, message: str) -> None:
+    (tmp_path / "camera.yaml").write_text(text)
+    with pytest.raises(ValueError, match=rf"camera\.yaml: not a camera calibration: .*{message}"):
+        CameraModel.load(tmp_path / "camera.yaml")

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from icu_common.core.panel.gesture import parse_gesture
-from icu_common.core.panel.panel_layout import LayoutError, Text, load_layout, parse_layout
+from icu_common.core.panel.panel_layout import ArtworkText, LayoutError, load_layout, parse_layout
 
 GOOD = """\
 model: test_panel
@@ -35,7 +35,7 @@ def test_good_layout() -> None:
     layout = parse_layout(GOOD)
     assert layout.size_mm == (100, 50) and [c.name for c in layout.controls] == ["RUN", "KNOB"]
     assert layout.control("RUN").height_mm == 3
-    assert layout.artwork[0] == Text(text="HELLO", at_mm=(50, 45), height_mm=4)
+    assert layout.artwork[0] == ArtworkText(text="HELLO", at_mm=(50, 45), height_mm=4)
     with pytest.raises(KeyError, match="no control 'STOP'; it has RUN, KNOB"):
         layout.control("STOP")
 
@@ -69,13 +69,21 @@ def test_good_layout() -> None:
         ("height_mm: 3\n", "height_mm: -1\n", r"f\.yaml:4: height_mm = -1 is not within 0 to 200 mm"),
         ("height_mm: 3\n", "detent_deg: 3\n", r"f\.yaml:4: 'RUN' is a button; only a knob has detent_deg"),
         ("shape: circle\n", "shape: circle\n    detent_deg: 200\n", r"f\.yaml:10: detent_deg = 200 is not within"),
-        ("shape: circle\n", "shape: circle\n    marks_deg: [1]\n", r"f\.yaml:10: marks_deg = \[1\]; expected a mapping"),
+        (
+            "shape: circle\n",
+            "shape: circle\n    marks_deg: [1]\n",
+            r"f\.yaml:10: marks_deg = \[1\]; expected a mapping",
+        ),
         (
             "shape: circle\n",
             "shape: circle\n    marks_deg:\n      LOW: 0\n      HIGH: 190\n",
             r"f\.yaml:14: mark HIGH = 190 is not within -180 to 180 degrees",
         ),
-        ("name: RUN\n", "name: L\u00d6SCHEN\n", r"f\.yaml:4: name 'L\u00d6SCHEN'; expected a letter from A to Z, then letters"),
+        (
+            "name: RUN\n",
+            "name: L\u00d6SCHEN\n",
+            r"f\.yaml:4: name 'L\u00d6SCHEN'; expected a letter from A to Z, then letters",
+        ),
         (
             "shape: circle\n",
             "shape: circle\n    marks_deg:\n      \u00d6L: 0\n",
@@ -91,7 +99,11 @@ def test_good_layout() -> None:
             "height_mm: 3\n    dimple: {}\n",
             r"f\.yaml:4: 'RUN' is a button; only a knob has .*dimple",
         ),
-        ("shape: circle\n", "shape: circle\n    dimple: 3\n", r"f\.yaml:10: dimple = 3; expected a mapping of place_mm"),
+        (
+            "shape: circle\n",
+            "shape: circle\n    dimple: 3\n",
+            r"f\.yaml:10: dimple = 3; expected a mapping of place_mm",
+        ),
         (
             "shape: circle\n",
             "shape: circle\n    dimple:\n      {place_mm: [0, 8], diameter_mm: 5, depth_mm: 1}\n",
@@ -108,8 +120,16 @@ def test_good_layout() -> None:
         ("kind: knob", "{a: b}: knob", r"f\.yaml:10: unhashable type"),
         ("kind: knob", "kind: \0knob", r"f\.yaml:1: unacceptable character #x0000"),
         pytest.param("kind: knob", "kind: " + 900 * "[", r"f\.yaml:11: more than 24 open brackets", id="deep"),
-        ("position_mm: [20, 10]", "position_mm: [5:20, 10]", r"f\.yaml:4: position_mm = \['5:20', 10\]; expected 2 numbers"),
-        ("position_mm: [20, 10]", "position_mm: [020, 10]", r"f\.yaml:4: position_mm = \['020', 10\]; expected 2 numbers"),
+        (
+            "position_mm: [20, 10]",
+            "position_mm: [5:20, 10]",
+            r"f\.yaml:4: position_mm = \['5:20', 10\]; expected 2 numbers",
+        ),
+        (
+            "position_mm: [20, 10]",
+            "position_mm: [020, 10]",
+            r"f\.yaml:4: position_mm = \['020', 10\]; expected 2 numbers",
+        ),
         ("height_mm: 3\n", "height_mm: 1:30.5\n", r"f\.yaml:4: height_mm = \['1:30\.5'\]; expected 1 numbers"),
         (
             "shape: circle\n",

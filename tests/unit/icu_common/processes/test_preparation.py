@@ -4,7 +4,14 @@ from __future__ import annotations
 
 import pytest
 
-from icu_common.core.processes.preparation import Cause, Report, Stage, calibration_report, from_line, to_line
+from icu_common.core.processes.preparation import (
+    PreparationCause,
+    PreparationReport,
+    PreparationStage,
+    calibration_report,
+    from_line,
+    to_line,
+)
 
 
 @pytest.mark.parametrize(
@@ -21,24 +28,29 @@ def test_a_state_of_the_calibration_becomes_numbers(
 ) -> None:
     report = calibration_report(state)
     assert (report.done, report.total, report.missed, report.left_s) == (done, total, missed, left_s)
-    assert report.text == state and report.stage is Stage.CALIBRATING
+    assert report.text == state and report.stage is PreparationStage.CALIBRATING
 
 
 @pytest.mark.parametrize(
     ("report", "line"),
     [
-        (Report(stage=Stage.HOMING), '{"stage": "homing"}'),
+        (PreparationReport(stage=PreparationStage.HOMING), '{"stage": "homing"}'),
         (
             calibration_report("calibrating 1/9"),
             '{"stage": "calibrating", "text": "calibrating 1/9", "done": 1, "total": 9}',
         ),
         (
-            Report(stage=Stage.FAILED, failed_at=Stage.HOMING, cause=Cause.TIMED_OUT, text="late"),
+            PreparationReport(
+                stage=PreparationStage.FAILED,
+                failed_at=PreparationStage.HOMING,
+                cause=PreparationCause.TIMED_OUT,
+                text="late",
+            ),
             '{"stage": "failed", "text": "late", "failed_at": "homing", "cause": "timed_out"}',
         ),
     ],
 )
-def test_a_report_is_one_line_and_comes_back(report: Report, line: str) -> None:
+def test_a_report_is_one_line_and_comes_back(report: PreparationReport, line: str) -> None:
     assert to_line(report) == line
     assert from_line(line) == report
 

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 from fluent.runtime import FluentBundle, FluentResource
 from fluent.runtime.types import fluent_number
-from message_files import GRAPH, constants, language, languages, made, messages, values
+from support.message_files import GRAPH, constants, language, languages, made, messages, values
 
 from icu_common.core.reasons.catalogue import english, key_of
 

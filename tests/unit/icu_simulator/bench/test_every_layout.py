@@ -7,13 +7,13 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from parameter_files import parameters
+from support.parameter_files import parameters
 
 from harris_perception.core.corners.harris import HarrisDetector
 from harris_perception.core.recognition.panel_reader import PanelReader
 from harris_perception.core.recognition.recognition import PanelRecogniser
 from harris_perception.core.stylus.stylus import StylusTracker
-from harris_perception.core.stylus.stylus_config import StylusConfig
+from harris_perception.core.stylus.stylus_config import StylusSearchConfig
 from icu_common.core.configuration.config import from_mapping
 from icu_common.core.geometry.camera_model import CameraModel, StereoModel
 from icu_common.core.panel.panel_layout import load_layout
@@ -74,7 +74,7 @@ def test_the_tip_is_measured_before_lamps_that_shine(name: str) -> None:
     stereo = StereoModel(
         **{side: CameraModel.from_mapping(renderer.rig.calibration(side)) for side in ("left", "right")}
     )
-    tracker = StylusTracker(from_mapping(StylusConfig, parameters("stylus_tracker")), stereo)
+    tracker = StylusTracker(from_mapping(StylusSearchConfig, parameters("stylus_tracker")), stereo)
     base_from_camera = renderer.rig.rectified_left_from_base().inverse()
     lamps = [c for c in layout.controls if c.lit_colour and c.lit_colour not in PINK]
     state = instrument.InstrumentState(lit=tuple(c.name for c in lamps))

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from icu_common.core.configuration.config import ConfigError
-from icu_simulator.core.configuration import MechanicsConfig, StylusConfig
+from icu_simulator.core.configuration import BenchStylusConfig, MechanicsConfig
 from icu_simulator.core.mechanics import Errors, Mechanism, draw_errors
 
 PLAY = Errors(play_mm=np.array([0.2, 0.1, 0.0]), base_from_carriage=np.eye(2), lean=np.zeros(2))
 
 
 def mechanism(errors: Errors = PLAY, kind: str = "z_axis", **stylus: float) -> Mechanism:
-    return Mechanism(MechanicsConfig(), StylusConfig(kind=kind, **stylus), errors)
+    return Mechanism(MechanicsConfig(), BenchStylusConfig(kind=kind, **stylus), errors)
 
 
 def reading(x: float, y: float = 0.0, z: float = 0.0) -> list[float]:

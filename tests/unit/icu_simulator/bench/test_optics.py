@@ -14,7 +14,7 @@ from icu_common.core.configuration.config import ConfigError
 from icu_common.core.geometry.camera_model import CameraModel, StereoModel
 from icu_common.core.panel.panel_layout import load_layout
 from icu_simulator.cli import write_calibration
-from icu_simulator.core.configuration import BenchConfig, CameraConfig, PanelConfig
+from icu_simulator.core.configuration import BenchCameraConfig, BenchConfig, PanelConfig
 from icu_simulator.core.optics import stereo_rig, turn
 from icu_simulator.core.renderer import base_from_panel
 
@@ -24,7 +24,7 @@ POINTS = np.random.default_rng(5).uniform((0.0, 0.0, -0.05), (0.359, 0.219, 0.0)
 
 
 def test_a_plain_camera_projects_as_a_pinhole() -> None:
-    plain = CameraConfig(distortion=(0.0,) * 10, toe_in_deg=0.0, elevation_deg=0.0, azimuth_deg=0.0, roll_deg=0.0)
+    plain = BenchCameraConfig(distortion=(0.0,) * 10, toe_in_deg=0.0, elevation_deg=0.0, azimuth_deg=0.0, roll_deg=0.0)
     camera = stereo_rig(plain).left
     x, y, z = plain.aim_m
     # Straight down from 0.665 m, half the baseline to the left: x to the right, y of the base upwards.
@@ -115,4 +115,4 @@ def test_rotation_is_counter_clockwise() -> None:
 
 def test_wrong_lengths_are_refused() -> None:
     with pytest.raises(ConfigError, match=r"distortion = \(0.1,\) has 1 values; expected 10"):
-        dataclasses.replace(CameraConfig(), distortion=(0.1,))
+        dataclasses.replace(BenchCameraConfig(), distortion=(0.1,))

@@ -12,7 +12,7 @@ import pytest
 
 from icu_common.core.panel.panel_layout import load_layout
 from icu_simulator.cli import render
-from icu_simulator.core.configuration import BenchConfig, CameraConfig, LightConfig
+from icu_simulator.core.configuration import BenchCameraConfig, BenchConfig, LightConfig
 from icu_simulator.core.instrument import InstrumentState, press
 from icu_simulator.core.renderer import Moment, Renderer, base_from_panel, control_pixels
 
@@ -20,7 +20,7 @@ pytestmark = pytest.mark.slow
 
 ROOT = Path(__file__).parents[4]
 LAYOUT = load_layout(ROOT / "config/scopes/dso_bench_4.yaml")
-CAMERA = CameraConfig(width_px=640, height_px=360, focal_px=850.0, centre_px=(321.2, 177.4, 316.3, 181.9))
+CAMERA = BenchCameraConfig(width_px=640, height_px=360, focal_px=850.0, centre_px=(321.2, 177.4, 316.3, 181.9))
 NOISY = BenchConfig(camera=CAMERA)
 QUIET = BenchConfig(camera=CAMERA, light=LightConfig(noise=0.0))
 AWAY = (0.34, 0.21, 0.0)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from icu_common.core.panel.panel_layout import parse_layout
-from icu_simulator.core.touch import FACE, Touch, TouchEvent
+from icu_simulator.core.touch import FACE, BenchTouch, TouchEvent
 
 LAYOUT = parse_layout(
     """
@@ -29,7 +29,7 @@ class Rig:
     def __init__(self) -> None:
         self.events: list[TouchEvent] = []
         self.knob_deg = 0.0
-        self.touch = Touch(LAYOUT, 2.0, self._on_event, lambda name: self.knob_deg)
+        self.touch = BenchTouch(LAYOUT, 2.0, self._on_event, lambda name: self.knob_deg)
         self.time = 0.0
         self.touch.place(np.array([5.0, 5.0, 40.0]), 0.0)
 

@@ -9,16 +9,16 @@ import pytest
 
 from icu_common.core.panel.panel_layout import parse_layout
 from icu_simulator.core import view as view_module
-from icu_simulator.core.configuration import BenchConfig, CameraConfig, LightConfig, StylusConfig
+from icu_simulator.core.configuration import BenchCameraConfig, BenchConfig, BenchStylusConfig, LightConfig
 from icu_simulator.core.optics import Camera, Rays, stereo_rig
 from icu_simulator.core.renderer import base_from_panel
 from icu_simulator.core.solids import ControlState, cast
 from icu_simulator.core.stylus_picture import StylusPainter
 from icu_simulator.core.surfaces import Surfaces
-from icu_simulator.core.view import View
+from icu_simulator.core.view import BenchView
 
 CLEAR = LightConfig(unevenness=0.0, vignetting=0.0, glare=0.0, blur_px=0.0, noise=0.0)
-CAMERA = CameraConfig()
+CAMERA = BenchCameraConfig()
 LAYOUT = parse_layout(
     """
 model: m
@@ -39,12 +39,12 @@ SURFACES = Surfaces.of(LAYOUT)
 
 
 @pytest.fixture(scope="module", params=["left", "right"])
-def view(request: pytest.FixtureRequest) -> View:
+def view(request: pytest.FixtureRequest) -> BenchView:
     camera: Camera = getattr(stereo_rig(CAMERA), request.param)
-    return View(Rays(camera), PANEL, LAYOUT, SURFACES, CLEAR, 0.0)
+    return BenchView(Rays(camera), PANEL, LAYOUT, SURFACES, CLEAR, 0.0)
 
 
-def crossing(view: View, fixed: float, low: float, high: float, row: int, axis: int) -> float:
+def crossing(view: BenchView, fixed: float, low: float, high: float, row: int, axis: int) -> float:
     """Column (axis 0: edge x = fixed) or row (axis 1) where the printed edge crosses a row or column, by bisection."""
 
     def pixel(free: float) -> np.ndarray:
@@ -61,7 +61,7 @@ def crossing(view: View, fixed: float, low: float, high: float, row: int, axis: 
     return float(pixel((low + high) / 2)[1 - across])
 
 
-def edge_errors(view: View) -> np.ndarray:
+def edge_errors(view: BenchView) -> np.ndarray:
     """Differences in pixels between where edges are rendered and where the projection has them."""
     grey = view.picture[..., 1].astype(float) / 255
     errors = []
@@ -85,7 +85,7 @@ def edge_errors(view: View) -> np.ndarray:
     return np.array(errors)
 
 
-def test_printed_edges_are_where_the_projection_puts_them(view: View) -> None:
+def test_printed_edges_are_where_the_projection_puts_them(view: BenchView) -> None:
     errors = edge_errors(view)
     print("edges", len(errors), "mean", errors.mean(), "worst", np.abs(errors).max())
     assert len(errors) == 48
@@ -95,7 +95,7 @@ def test_printed_edges_are_where_the_projection_puts_them(view: View) -> None:
 
 def test_blur_does_not_move_edges() -> None:
     camera = stereo_rig(CAMERA).left
-    blurred = View(Rays(camera), PANEL, LAYOUT, SURFACES, dataclasses.replace(CLEAR, blur_px=0.8), 0.0)
+    blurred = BenchView(Rays(camera), PANEL, LAYOUT, SURFACES, dataclasses.replace(CLEAR, blur_px=0.8), 0.0)
     errors = edge_errors(blurred)
     assert np.abs(errors).max() < 0.08
     assert abs(errors.mean()) < 0.01
@@ -109,7 +109,7 @@ def centroid_of_red(picture: np.ndarray) -> np.ndarray:
     return np.array([(share * columns).sum(), (share * rows).sum()]) / share.sum()
 
 
-def test_a_cap_is_seen_at_its_height(view: View) -> None:
+def test_a_cap_is_seen_at_its_height(view: BenchView) -> None:
     # Red shows on the cap (bright) and on the wall (darker); the cap decides.
     at = centroid_of_red(view.picture)
     on_cap, on_face = view.pixel_of_panel([(230, 40, 3.0), (230, 40, 0.0)])
@@ -117,7 +117,7 @@ def test_a_cap_is_seen_at_its_height(view: View) -> None:
     assert np.linalg.norm(at - on_cap) < np.linalg.norm(at - on_face)
 
 
-def test_a_lamp_and_a_pressed_button_change_only_their_surroundings(view: View) -> None:
+def test_a_lamp_and_a_pressed_button_change_only_their_surroundings(view: BenchView) -> None:
     before = view.picture.copy()
     view.show({"B": ControlState(lamp="#00ff00", sunk_mm=1.0)})
     changed = np.abs(view.picture.astype(int) - before).max(axis=2) > 2
@@ -134,7 +134,7 @@ def test_a_lamp_and_a_pressed_button_change_only_their_surroundings(view: View) 
     assert np.array_equal(view.picture, before), "and back again leaves no trace"
 
 
-def test_a_turned_knob_shows_its_pointer(view: View) -> None:
+def test_a_turned_knob_shows_its_pointer(view: BenchView) -> None:
     def pointer() -> np.ndarray:
         centre, rim = view.pixel_of_panel([(280, 80, 15.0), (280, 87, 15.0)])
         reach = int(np.linalg.norm(rim - centre))
@@ -172,8 +172,8 @@ def test_rays_meet_prisms_where_geometry_says() -> None:
 
 
 @pytest.mark.parametrize("tip", [(0.05, 0.05, -0.01), (0.18, 0.11, -0.033), (0.33, 0.20, 0.0)])
-def test_the_ball_is_drawn_where_its_outline_projects(view: View, tip: tuple[float, float, float]) -> None:
-    painter = StylusPainter(view, StylusConfig(stem_diameter_mm=0.1, stem_mm=30.0))
+def test_the_ball_is_drawn_where_its_outline_projects(view: BenchView, tip: tuple[float, float, float]) -> None:
+    painter = StylusPainter(view, BenchStylusConfig(stem_diameter_mm=0.1, stem_mm=30.0))
     black, white = np.zeros((720, 1280, 3), np.uint8), np.full((720, 1280, 3), 255, np.uint8)
     painter.draw(black, np.array(tip))
     painter.draw(white, np.array(tip))
@@ -203,8 +203,8 @@ def test_the_ball_is_drawn_where_its_outline_projects(view: View, tip: tuple[flo
     assert np.abs(seen - centre).max() < 0.06
 
 
-def test_shaft_and_arm_leave_the_ball_free(view: View) -> None:
-    painter = StylusPainter(view, StylusConfig())
+def test_shaft_and_arm_leave_the_ball_free(view: BenchView) -> None:
+    painter = StylusPainter(view, BenchStylusConfig())
     for x in (0.02, 0.18, 0.34):
         for y in (0.03, 0.11, 0.20):
             for z in (0.0, -0.033):
@@ -221,8 +221,8 @@ def test_what_was_kept_of_the_stylus_is_not_shown_elsewhere_or_in_other_light() 
     camera = stereo_rig(CAMERA).left
     lights = CLEAR, dataclasses.replace(CLEAR, level=0.5, blur_px=1.0, vignetting=0.4)
     tips = [np.array(tip) for tip in ((0.05, 0.05, -0.01), (0.18, 0.11, -0.033), (0.05, 0.05, -0.01))]
-    seen = View(Rays(camera), PANEL, LAYOUT, SURFACES, CLEAR, 0.0)
-    painter = StylusPainter(seen, StylusConfig())
+    seen = BenchView(Rays(camera), PANEL, LAYOUT, SURFACES, CLEAR, 0.0)
+    painter = StylusPainter(seen, BenchStylusConfig())
 
     def drawn(painter: StylusPainter, tip: np.ndarray) -> np.ndarray:
         picture = np.full((720, 1280, 3), 128, np.uint8)
@@ -233,7 +233,7 @@ def test_what_was_kept_of_the_stylus_is_not_shown_elsewhere_or_in_other_light() 
     for light in (*lights, lights[0]):
         seen.relight(light)
         for tip in tips:
-            anew = drawn(StylusPainter(seen, StylusConfig()), tip)
+            anew = drawn(StylusPainter(seen, BenchStylusConfig()), tip)
             travelling = drawn(painter, tip)
             for _ in range(2):  # cast, then kept
                 assert np.array_equal(drawn(painter, tip), anew)
@@ -244,8 +244,8 @@ def test_what_was_kept_of_the_stylus_is_not_shown_elsewhere_or_in_other_light() 
 @pytest.mark.parametrize("bend", [-0.8, 0.8])
 def test_a_bent_lens_shows_the_case_whole(bend: float, monkeypatch: pytest.MonkeyPatch) -> None:
     camera = dataclasses.replace(stereo_rig(CAMERA).left, distortion=(bend, 0.0, 0.0, 0.0, 0.0))
-    seen = View(Rays(camera), PANEL, LAYOUT, SURFACES, CLEAR, 0.0)
+    seen = BenchView(Rays(camera), PANEL, LAYOUT, SURFACES, CLEAR, 0.0)
     corners = seen.xy0[:, [0, 0, -1, -1], [0, -1, 0, -1]]
     monkeypatch.setattr(view_module, "_case_points", lambda size_mm: np.column_stack([*corners, np.zeros(4)]))
-    everywhere = View(Rays(camera), PANEL, LAYOUT, SURFACES, CLEAR, 0.0)
+    everywhere = BenchView(Rays(camera), PANEL, LAYOUT, SURFACES, CLEAR, 0.0)
     assert np.array_equal(seen.picture, everywhere.picture)

@@ -13,7 +13,7 @@ from icu_simulator.core.configuration import BenchConfig
 from icu_simulator.core.optics import StereoRig, stereo_rig
 from icu_simulator.imaging.board import true_cameras
 from icu_simulator.imaging.configuration import CalibrationErrorConfig, ImagingConfig, LensConfig
-from icu_simulator.imaging.rig import STEP_PX, CameraShift, Drift, true_rig
+from icu_simulator.imaging.rig import NO_SHIFTS, STEP_PX, CameraShift, Drift, true_rig
 
 NOMINAL = stereo_rig(BenchConfig().camera)
 PANEL = np.array([(x, y, -0.03) for x in np.linspace(0.03, 0.35, 6) for y in np.linspace(0.03, 0.2, 5)])
@@ -110,6 +110,13 @@ def test_knocks_come_at_their_time_and_add_up() -> None:
     )
     with pytest.raises(ValueError, match="camera 'middle'"):
         drift.knock("middle", CameraShift())
+
+
+def test_warming_has_not_begun_for_an_exposure_before_the_first_one() -> None:
+    """The right image of a free-running pair may be exposed before the left one, which is drawn first."""
+    drift = Drift(3, 1700.0, 1280)
+    imaging = config(**{"warming.enabled": True, "warming.turn_deg": 0.02, "warming.ramp_s": 100.0}).imaging
+    assert [drift.at(imaging, t) for t in (10.0, 9.987, 10.067)] == [NO_SHIFTS] * 3
 
 
 def test_a_warming_camera_goes_to_its_full_turn_in_small_steps() -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from icu_bringup.core.startup.graph_description import GraphError, load_graph
+from icu_bringup.core.startup.graph_description import GraphDescriptionError, load_graph
 from icu_common.core.configuration.config import from_mapping
 from icu_common.core.configuration.parameter_file import values_for
 from icu_simulator.core.configuration import BenchConfig
@@ -49,7 +49,7 @@ def test_the_bench_of_the_graph_stands_in_the_named_room() -> None:
     assert rooms("carriage", "") == rooms("carriage_test", "") == ["ideal"], "a profile's own room"
     assert rooms("carriage", "workshop") == ["workshop"]
     assert rooms("hardware", "") == rooms("replay", "") == []
-    with pytest.raises(GraphError, match=r"room 'cellar' is none of the rooms in .*: ideal, ward, workshop"):
+    with pytest.raises(GraphDescriptionError, match=r"room 'cellar' is none of the rooms in .*: ideal, ward, workshop"):
         rooms("bench", "cellar")
-    with pytest.raises(GraphError, match="room 'ward': profile hardware has no simulated bench"):
+    with pytest.raises(GraphDescriptionError, match="room 'ward': profile hardware has no simulated bench"):
         rooms("hardware", "ward")

@@ -8,7 +8,7 @@ import pytest
 
 from icu_common.core.configuration.config import from_mapping
 from icu_simulator.core.configuration import BenchConfig
-from icu_simulator.imaging.effect import Effect, effects_of
+from icu_simulator.imaging.effect import BenchEffect, effects_of
 from icu_simulator.imaging.focus import Focus, blurred
 from icu_simulator.imaging.sensor import Sensor
 
@@ -155,5 +155,5 @@ def test_every_effect_is_off_has_a_source_and_grows() -> None:
     for name, effect in found.items():
         assert not effect.enabled and len(effect.SOURCE) > 20, name
         assert effect.scaled(1).enabled and (effect.scaled(2) != effect.scaled(1) or not effect.SCALED), name
-        assert isinstance(effect.scaled(2), Effect)
+        assert isinstance(effect.scaled(2), BenchEffect)
     assert found["imaging.exposure"].scaled(2).time_ms == 20.0

@@ -12,7 +12,7 @@ from icu_common.core.configuration.config import ConfigError, from_mapping, to_m
 from icu_common.core.panel.panel_layout import load_layout
 from icu_simulator.core.bench import Bench
 from icu_simulator.core.configuration import BenchConfig, MechanicsConfig
-from icu_simulator.core.touch import Touch, TouchEvent
+from icu_simulator.core.touch import BenchTouch, TouchEvent
 from icu_simulator.keys.configuration import KeysConfig
 from icu_simulator.keys.curve import ForceCurve
 from icu_simulator.mechanisms.spring import SpringConfig
@@ -27,7 +27,7 @@ class Finger:
 
     def __init__(self, keys: KeysConfig, spring: SpringConfig = SPRING) -> None:
         self.events: list[TouchEvent] = []
-        self.touch = Touch(LAYOUT, 2.0, self.events.append, lambda name: 0.0, keys, spring)
+        self.touch = BenchTouch(LAYOUT, 2.0, self.events.append, lambda name: 0.0, keys, spring)
         self.touch.place(np.array([208.0, 127.0, 20.0]), 0.0)
         self.time = 0.0
 
@@ -142,7 +142,7 @@ def test_a_low_key_cannot_sink_below_the_face() -> None:
     low = dataclasses.replace(control, height_mm=0.4)
     layout = dataclasses.replace(LAYOUT, controls=(low,))
     events: list[TouchEvent] = []
-    touch = Touch(layout, 2.0, events.append, lambda name: 0.0)
+    touch = BenchTouch(layout, 2.0, events.append, lambda name: 0.0)
     touch.place(np.array([208.0, 127.0, 20.0]), 0.0)
     touch.move(np.array([208.0, 127.0, 2.05]), 1.0, 0.0)
     assert [e.kind for e in events] == ["contact"]

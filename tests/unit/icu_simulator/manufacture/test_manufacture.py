@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from icu_common.core.configuration.config import from_mapping
-from icu_common.core.panel.panel_layout import Circle, Rectangle, Text, load_layout
+from icu_common.core.panel.panel_layout import ArtworkCircle, ArtworkRectangle, ArtworkText, load_layout
 from icu_simulator.core.bench import Bench
 from icu_simulator.core.configuration import BenchConfig
 from icu_simulator.core.instrument import InstrumentState
@@ -48,7 +48,7 @@ def test_the_offset_of_the_print_is_that_of_all_its_shapes(name: str) -> None:
     assert 0.0 < max(abs(x), abs(y)) <= MADE.print.offset_mm
     for before, after in zip(layout.markers, made.markers):
         assert np.subtract(after.position_mm, before.position_mm) == pytest.approx((x, y), abs=1e-9)
-    for kind, corner in ((Rectangle, "rectangle_mm"), (Circle, "circle_mm")):
+    for kind, corner in ((ArtworkRectangle, "rectangle_mm"), (ArtworkCircle, "circle_mm")):
         pairs = zip(
             *(
                 [getattr(item, corner)[:2] for item in panel.artwork if isinstance(item, kind)]
@@ -94,7 +94,7 @@ def test_the_print_is_offset_as_a_whole_and_its_letters_have_another_shape() -> 
     config = ManufactureConfig(
         enabled=True, position_mm=0.0, height_mm=0.0, colour_levels=0.0, age=NEW, print=PrintConfig(offset_mm=0.5)
     )
-    text = Text(text="OXO", at_mm=(100.0, 100.0), height_mm=5.0)
+    text = ArtworkText(text="OXO", at_mm=(100.0, 100.0), height_mm=5.0)
     layout = dataclasses.replace(LAYOUT, artwork=(LAYOUT.artwork[0], text))
     made = manufactured(layout, config, 2)
     frame, moved = layout.artwork[0], made.artwork[0]
@@ -105,7 +105,7 @@ def test_the_print_is_offset_as_a_whole_and_its_letters_have_another_shape() -> 
     middle = (ends.min(axis=0) + ends.max(axis=0)) / 2
     assert middle == pytest.approx(np.array(text.at_mm) + offset, abs=0.01), "a word that is the same mirrored"
     assert np.ptp(ends[:, 1]) == pytest.approx(0.97 * 5.0, abs=1e-6)
-    assert not any(isinstance(item, Text) for item in made.artwork)
+    assert not any(isinstance(item, ArtworkText) for item in made.artwork)
 
 
 def ink_box(face: np.ndarray, ground: np.ndarray) -> tuple[float, float, float]:
@@ -115,7 +115,7 @@ def ink_box(face: np.ndarray, ground: np.ndarray) -> tuple[float, float, float]:
 
 
 def test_the_font_is_heavier_and_narrower_in_the_drawn_face() -> None:
-    word = Text(text="RUN/STOP", at_mm=(100.0, 100.0), height_mm=6.0, colour="#101010", line_mm=0.6)
+    word = ArtworkText(text="RUN/STOP", at_mm=(100.0, 100.0), height_mm=6.0, colour="#101010", line_mm=0.6)
     layout = dataclasses.replace(LAYOUT, artwork=(word,), controls=LAYOUT.controls[1:2])
     exact = ManufactureConfig(enabled=True, position_mm=0.0, height_mm=0.0, colour_levels=0.0, age=NEW)
     same = manufactured(layout, dataclasses.replace(exact, print=PLAIN_PRINT), 1)

@@ -12,7 +12,7 @@ from icu_common.core.configuration.config import from_mapping, to_mapping
 from icu_common.core.panel.panel_layout import load_layout
 from icu_simulator.core.bench import Bench
 from icu_simulator.core.configuration import BenchConfig
-from icu_simulator.core.touch import Touch, TouchEvent
+from icu_simulator.core.touch import BenchTouch, TouchEvent
 from icu_simulator.keys.configuration import KeysConfig
 from icu_simulator.mechanisms.configuration import GlassConfig, MechanismsConfig, MountConfig
 from icu_simulator.mechanisms.contact import GlassSensor, contact_diameter_mm, share_push, stiffness_n_mm
@@ -28,7 +28,9 @@ class Finger:
         self.events: list[TouchEvent] = []
         self.knob_deg = 0.0
         mechanisms = from_mapping(MechanismsConfig, named)
-        self.touch = Touch(LAYOUT, 2.0, self._on, lambda name: self.knob_deg, keys or KeysConfig(), SPRING, mechanisms)
+        self.touch = BenchTouch(
+            LAYOUT, 2.0, self._on, lambda name: self.knob_deg, keys or KeysConfig(), SPRING, mechanisms
+        )
         self.time = 0.0
         self.touch.place(np.array([5.0, 5.0, 40.0]), 0.0)
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from icu_common.core.configuration.config import ConfigError, from_mapping
-from icu_simulator.core.configuration import BenchConfig, MechanicsConfig, StylusConfig
+from icu_simulator.core.configuration import BenchConfig, BenchStylusConfig, MechanicsConfig
 from icu_simulator.core.mechanics import Errors, Mechanism
 from icu_simulator.imaging.effect import effects_of
 from icu_simulator.mechanisms.configuration import MechanismsConfig
@@ -17,7 +17,7 @@ EXACT = Errors(play_mm=np.zeros(3), base_from_carriage=np.eye(2), lean=np.zeros(
 
 def mechanism(seed: int = 1, **values: object) -> Mechanism:
     named = {key.replace("__", "."): value for key, value in values.items()}
-    return Mechanism(MechanicsConfig(), StylusConfig(), EXACT, Drives(from_mapping(MechanismsConfig, named), seed))
+    return Mechanism(MechanicsConfig(), BenchStylusConfig(), EXACT, Drives(from_mapping(MechanismsConfig, named), seed))
 
 
 def tips(m: Mechanism, motors: np.ndarray, step_s: float = 0.004) -> np.ndarray:
@@ -33,7 +33,7 @@ def along(axis: int, places: np.ndarray) -> np.ndarray:
 
 
 def test_switched_off_nothing_changes_to_the_last_bit() -> None:
-    plain = Mechanism(MechanicsConfig(), StylusConfig(), EXACT)
+    plain = Mechanism(MechanicsConfig(), BenchStylusConfig(), EXACT)
     motors = np.random.default_rng(1).uniform(0, 30, (200, 3))
     assert np.array_equal(tips(plain, motors), tips(mechanism(), motors))
 

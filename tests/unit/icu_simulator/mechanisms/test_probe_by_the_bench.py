@@ -7,7 +7,7 @@ import re
 from pathlib import Path
 
 import pytest
-from line_socket import LineSocket
+from support.line_socket import LineSocket
 from unit.gantry_driver.mock_rig import FREE
 from unit.gantry_driver.mock_service import Running, expect, wait_for
 

@@ -24,7 +24,7 @@ from scope_ui_bridge.core.wire import Refusal
 LONG = wire.MAX_BYTES
 
 
-def alive(seq: int, boot: str = "now") -> wire.Message:
+def alive(seq: int, boot: str = "now") -> wire.PageMessage:
     return wire.decode(f'{{"type": "alive", "boot": "{boot}", "epoch": 0, "seq": {seq}, "client_ms": 0}}')
 
 

@@ -7,13 +7,15 @@ import json
 import re
 import threading
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
-from unit.scope_ui_bridge.web_rig import WITHIN_S, Page, Rig, page, until, with_rig
+from unit.scope_ui_bridge.web_rig import WITHIN_S, Page, RecordingGraph, Rig, page, until, with_rig
 
 from icu_common.core.goals.results import GoalResult, Outcome
+from icu_common.core.reasons.message import Message
 from scope_ui_bridge.adapters.secret_files import AuditFile
 from scope_ui_bridge.core.desk import stops
 from scope_ui_bridge.core.effects import Now
@@ -124,6 +126,41 @@ def test_a_service_is_called_and_answered() -> None:
         assert rig.graph.named("call") == [("call", "enable")]
 
     with_rig(scenario)
+
+
+def test_a_reset_pressed_during_the_lift_is_sent_again_and_recorded_once() -> None:
+    class Noting(AuditFile):
+        def __init__(self) -> None:
+            self.records: list[dict[str, Any]] = []
+
+        def append(self, record: dict[str, Any]) -> None:
+            self.records.append(record)
+
+        def close(self) -> None:
+            pass
+
+    class Lifting(RecordingGraph):
+        """A driver that rejects a reset twice, because the stylus still rises."""
+
+        def call(self, service: str, answered: Callable[[bool, str], None]) -> None:
+            self._take("call", service)
+            refusal = Message("driver.refused", refusal=Message("stop.stop_not_complete_yet"))
+            early = len(self.named("call")) < 3
+            answered(not early, refusal if early else "accepted: reset")
+
+    async def scenario(rig: Rig) -> None:
+        rig.graph.__class__ = Lifting
+        rig.desk.machine.set_state("driver", "stopped: stop requested")
+        async with page(rig, take=True) as client:
+            assert (await client.ask(type="call", service="reset"))["ok"]
+            ends = ("done", "failed", "rejected", "no_answer")
+            end = await client.until(lambda m: m["type"] == "log" and m["entry"]["status"] in ends)
+            assert (end["entry"]["status"], end["entry"]["reason"]) == ("done", "accepted: reset")
+        assert rig.graph.named("call") == 3 * [("call", "reset")]
+
+    audit = Noting()
+    with_rig(scenario, audit=audit)
+    assert [line.get("result", "") for line in audit.records if line["command"] == "reset"] == ["", "done"]
 
 
 def test_stop_by_plain_post_from_a_viewer(monkeypatch: pytest.MonkeyPatch) -> None:

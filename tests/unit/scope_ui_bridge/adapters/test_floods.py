@@ -17,8 +17,8 @@ from collections.abc import Awaitable, Iterator
 from pathlib import Path
 
 import numpy as np
-import page_floods
 import pytest
+from support import page_floods
 from unit.scope_ui_bridge.web_rig import Page, Rig, page, with_rig
 
 from scope_ui_bridge.adapters.secret_files import AuditFile, write_secret

@@ -13,7 +13,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from deadlines import wait_until
+from support.deadlines import wait_until
 from unit.scope_ui_bridge.web_rig import WITHIN_S, Rig, page, until, with_rig
 
 from scope_ui_bridge.adapters.video.jpeg_encoder import JpegEncoder, to_jpeg

@@ -13,10 +13,10 @@ import time
 from pathlib import Path
 
 import pytest
-from deadlines import wait_until
+from support.deadlines import wait_until
 from unit.scope_ui_bridge import web_rig
 
-from scope_ui_bridge.adapters.graph_port import GraphError
+from scope_ui_bridge.adapters.graph_port import GraphUnavailable
 from scope_ui_bridge.adapters.recorder import Recorder
 
 pytestmark = pytest.mark.slow
@@ -53,10 +53,10 @@ def test_an_end_that_is_asked_before_the_program_listens_still_leaves_a_whole_ba
     answers: queue.Queue[tuple[str, bool, str]] = queue.Queue()
     recorder = Recorder(str(program.parent / "sessions"), program)
     recorder.start(lambda ok, text: answers.put(("start", ok, text)))
-    with pytest.raises(GraphError, match="already recording to"):
+    with pytest.raises(GraphUnavailable, match="already recording to"):
         recorder.start(lambda ok, text: None)
     recorder.end(lambda ok, text: answers.put(("end", ok, text)))
-    with pytest.raises(GraphError, match="bag_record already finishes"):
+    with pytest.raises(GraphUnavailable, match="bag_record already finishes"):
         recorder.end(lambda ok, text: None)
     assert answers.empty(), "it neither records nor has it ended"
     (program.parent / "gate").write_text("go")
@@ -65,7 +65,7 @@ def test_an_end_that_is_asked_before_the_program_listens_still_leaves_a_whole_ba
     bag = Path(text.removeprefix("recording to "))
     assert answers.get(timeout=WITHIN_S) == ("end", True, f"recorded to {bag}: 7 messages")
     assert bag.read_text() == "whole"
-    with pytest.raises(GraphError, match="no recording is running"):
+    with pytest.raises(GraphUnavailable, match="no recording is running"):
         recorder.end(lambda ok, text: None)
     recorder.close()
 
@@ -134,7 +134,7 @@ def test_one_that_failed_and_is_noticed_late_hides_no_recording_that_runs(tmp_pa
     recorder.start(lambda ok, text: answers.put(("first", ok)), "Anna")
 
     def answered() -> bool:
-        with contextlib.suppress(GraphError):  # while the first one's program runs
+        with contextlib.suppress(GraphUnavailable):  # while the first one's program runs
             recorder.start(lambda ok, text: answers.put(("second", ok)), "Bert")
         return not answers.empty()
 
@@ -159,7 +159,7 @@ def test_the_recorder_is_found_beside_the_bridge(
     bridge.parent.mkdir(parents=True)
     monkeypatch.setattr(sys, "argv", [str(bridge)])
     recorder = Recorder(str(tmp_path / "sessions"))
-    with pytest.raises(GraphError, match="this program's folder has no bag_record"):
+    with pytest.raises(GraphUnavailable, match="this program's folder has no bag_record"):
         recorder.start(lambda ok, text: None)
     made(prefixes[1] / "lib" / "icu_bringup" / "bag_record", "#!/bin/sh\necho recording\n")
     answers: queue.Queue[bool] = queue.Queue()

@@ -16,7 +16,7 @@ from scope_ui_bridge.core.effects import (
     Effect,
     End,
     Record,
-    Send,
+    SendToViewer,
     StopNow,
 )
 
@@ -48,13 +48,13 @@ def test_what_programs_say_goes_to_engineers_and_their_reports_to_all() -> None:
         rig.desk.said({"wall_ms": 1, "level": "warn", "name": "serial_driver", "text": f"line {number}"})
     rig.desk.machine.set_facts("calibration", {"rms_mm": "0.03"})
     effects = rig.wait(0.05, alive=True)
-    (said,) = [e for e in of_type(effects, Send) if e.message["type"] == "console"]
+    (said,) = [e for e in of_type(effects, SendToViewer) if e.message["type"] == "console"]
     assert said.viewer == engineer
     assert len(said.message["lines"]) == 40, "a chatty program does not fill the link"
     (facts,) = [e.message["facts"] for e in of_type(effects, Broadcast) if e.message["type"] == "facts"]
     assert facts == {"calibration": {"rms_mm": "0.03"}}
     later = rig.wait(0.2, alive=True)
-    assert not [e for e in of_type(later, (Send, Broadcast)) if e.message["type"] in ("console", "facts")]
+    assert not [e for e in of_type(later, (SendToViewer, Broadcast)) if e.message["type"] in ("console", "facts")]
 
 
 def test_an_engineer_who_comes_later_reads_what_was_said_before() -> None:
@@ -69,7 +69,7 @@ def test_an_engineer_who_comes_later_reads_what_was_said_before() -> None:
         [],
         [f"line {n}" for n in range(50, 150)],
     )
-    (said,) = [e for e in of_type(rig.wait(0.05, alive=True), Send) if e.message["type"] == "console"]
+    (said,) = [e for e in of_type(rig.wait(0.05, alive=True), SendToViewer) if e.message["type"] == "console"]
     assert (said.viewer, [line["text"] for line in said.message["lines"]]) == (engineer, ["line 150"]), "once each"
 
 
@@ -111,14 +111,14 @@ def test_a_flood_is_dropped_unread_and_then_ended_and_the_stop_in_it_is_heard(mo
     read: list[str] = []
     monkeypatch.setattr(wire, "decode", lambda text, real=wire.decode: read.append(text) or real(text))
     answers = [rig.ask(rig.a, type="call", service="enable") for _ in range(159)]
-    codes = [e.message.get("code") for effects in answers for e in of_type(effects, Send)]
+    codes = [e.message.get("code") for effects in answers for e in of_type(effects, SendToViewer)]
     assert codes.count("rate_limited") == 1, "told once a second, not with every message"
     assert answers[-1] == []
     assert len(read) <= 80
     assert of_type(rig.ask(rig.a, type="stop"), StopNow)
     assert rig.ask(rig.a, type="call", service="enable") == [End(viewer=rig.a)]
     rig.seconds += 2.0
-    (alive,) = of_type(rig.ask(rig.a, type="alive", client_ms=5.0), Send)
+    (alive,) = of_type(rig.ask(rig.a, type="alive", client_ms=5.0), SendToViewer)
     clocks = {"bridge_ms": rig.seconds * 1e3, "wall_ms": rig.now.wall_s * 1e3}
     assert alive.message == {"type": "alive", "client_ms": 5.0, **clocks}
 
@@ -127,7 +127,7 @@ def test_a_flood_of_garbage_is_answered_as_seldom_as_any_other() -> None:
     rig = Rig()
     viewer, _ = rig.desk.join("Operator 2")
     effects = [e for _ in range(500) for e in rig.desk.message(viewer, "{", rig.now)]
-    assert [e.message["code"] for e in of_type(effects, Send)] == ["malformed"] * 80 + ["rate_limited"]
+    assert [e.message["code"] for e in of_type(effects, SendToViewer)] == ["malformed"] * 80 + ["rate_limited"]
     assert effects[-1] == End(viewer=viewer)
     assert of_type(rig.ask(viewer, type="stop"), StopNow)
 
@@ -144,7 +144,7 @@ def test_only_the_page_in_control_may_send_long_messages() -> None:
     rig = Rig()
     viewer, _ = rig.desk.join("Eve", Role.ENGINEER)
     long = {"type": "sequence", "steps": ["press:RUN_STOP => effect"] * 99, "camera": "left", "stamp": str(rig.stamp)}
-    (answer,) = of_type(rig.ask(viewer, **long), Send)
+    (answer,) = of_type(rig.ask(viewer, **long), SendToViewer)
     assert answer.message["code"] == "oversized" and answer.message["values"]["limit"] == SHORT
     assert answer.message["seq"] is not None, "the answer names the rejected message"
     assert "oversized" not in str(rig.ask(rig.a, **long))

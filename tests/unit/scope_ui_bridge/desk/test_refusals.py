@@ -16,7 +16,7 @@ from icu_common.core.panel.gesture import parse_gesture
 from scope_ui_bridge.core.config import BridgeConfig
 from scope_ui_bridge.core.effects import (
     Broadcast,
-    Order,
+    MachineOrder,
     Record,
     SendCommand,
     StopNow,
@@ -89,7 +89,7 @@ def test_a_panel_that_moved_since_the_selection_voids_it() -> None:
     rig.select(control="RUN_STOP")
     rig.desk.scene.place_panel(pose(0.0015))
     assert of_type(rig.act(), SendCommand), "1.5 mm is within the bound of 2 mm"
-    rig.desk.answers.order_failed(Order(entry=2, stops=0, epoch=1, record={}), "test", rig.now)
+    rig.desk.answers.order_failed(MachineOrder(entry=2, stops=0, epoch=1, record={}), "test", rig.now)
     rig = Rig()
     rig.select(control="RUN_STOP")
     rig.desk.scene.place_panel(pose(0.0025))

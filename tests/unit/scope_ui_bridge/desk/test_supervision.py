@@ -7,25 +7,25 @@ from unit.scope_ui_bridge.desk_rig import Rig, of_type, refusal
 
 from scope_ui_bridge.core.config import BridgeConfig
 from scope_ui_bridge.core.effects import (
-    Heartbeat,
+    PublishHeartbeat,
     StopNow,
 )
 
 
 def test_the_heartbeat_follows_the_operators_keep_alives() -> None:
     rig = Rig()
-    assert 9 <= len(of_type(rig.wait(1.0, alive=True), Heartbeat)) <= 10
-    assert of_type(rig.wait(0.3), Heartbeat)
+    assert 9 <= len(of_type(rig.wait(1.0, alive=True), PublishHeartbeat)) <= 10
+    assert of_type(rig.wait(0.3), PublishHeartbeat)
     rig.wait(0.15)
     silent = rig.wait(1.6)
-    assert of_type(silent, Heartbeat) == [], "none after 400 ms of silence"
+    assert of_type(silent, PublishHeartbeat) == [], "none after 400 ms of silence"
     assert of_type(silent, StopNow) == [], "nothing moves, so there is nothing to stop"
-    assert of_type(rig.wait(0.5, alive=True), Heartbeat)
+    assert of_type(rig.wait(0.5, alive=True), PublishHeartbeat)
 
 
 def test_without_an_operator_there_is_no_heartbeat_even_with_live_viewers() -> None:
     rig = Rig(operator=False)
-    assert of_type(rig.wait(2.0, alive=True), Heartbeat) == []
+    assert of_type(rig.wait(2.0, alive=True), PublishHeartbeat) == []
 
 
 @pytest.mark.parametrize("moving", ["driver", "controller", "calibration", "pending"])
@@ -41,7 +41,7 @@ def test_600_ms_of_silence_while_something_moves_stops_it_once_and_takes_the_lea
     (stop,) = of_type(effects, StopNow)
     assert (stop.record["who"], stop.record["target"]) == ("Watchdog", "stopped_link_lost")
     assert rig.desk.lease.holder == ""
-    assert of_type(rig.wait(2.0, alive=True), (Heartbeat, StopNow)) == [], "nothing resumes by itself"
+    assert of_type(rig.wait(2.0, alive=True), (PublishHeartbeat, StopNow)) == [], "nothing resumes by itself"
     assert refusal(rig.act()) == "no_lease"
 
 

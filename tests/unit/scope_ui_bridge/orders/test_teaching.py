@@ -13,7 +13,7 @@ from unit.scope_ui_bridge.desk_rig import Rig, answer, logged, of_type, refusal
 
 from icu_common.core.goals.results import GoalResult, Outcome
 from scope_ui_bridge.core.access import Role, SignIn
-from scope_ui_bridge.core.effects import Broadcast, Effect, HoldPicture, Record, Send, SendTeaching
+from scope_ui_bridge.core.effects import Broadcast, Effect, HoldPicture, Record, SendTeaching, SendToViewer
 from scope_ui_bridge.core.orders import HeldPicture
 
 STAMP = 1_795_225_165_871_340_849
@@ -46,7 +46,7 @@ def test_a_picture_is_held_and_what_was_pointed_at_goes_to_perception() -> None:
     (hold,) = of_type(ada.ask(type="hold"), HoldPicture)
     assert hold.viewer == ada.viewer
     (told,) = ada.rig.desk.picture_held(ada.viewer, HeldPicture(stamp_ns=STAMP, width=1280, height=720))
-    assert isinstance(told, Send)
+    assert isinstance(told, SendToViewer)
     assert told.message == {"type": "held", "stamp": str(STAMP), "width": 1280, "height": 720}
     effects = ada.teach()
     (order,) = of_type(effects, SendTeaching)

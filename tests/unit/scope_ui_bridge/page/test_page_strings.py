@@ -6,7 +6,7 @@ import ast
 import hashlib
 import re
 
-from message_files import PAGE, language, messages, templates, values
+from support.message_files import PAGE, language, messages, templates, values
 
 from scope_ui_bridge.core.wire import LEASE_STEPS, SERVICES
 

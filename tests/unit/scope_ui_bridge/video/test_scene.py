@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from pinhole import pinhole as camera
+from support.pinhole import pinhole as camera
 from unit.scope_ui_bridge.desk_rig import FACES, Rig, pose, scene
 
 from icu_common.core.geometry.geometry import Transform
-from scope_ui_bridge.core.video import Scene, labels_of
+from scope_ui_bridge.core.video import VideoScene, labels_of
 
 
 def pinhole(x_m: float, y_m: float, z_m: float) -> tuple[float, float]:
@@ -17,7 +17,7 @@ def pinhole(x_m: float, y_m: float, z_m: float) -> tuple[float, float]:
     return 639.5 + 1700 * (x_m - 0.16) / depth, 359.5 - 1700 * (y_m - 0.075) / depth
 
 
-def flat_scene() -> Scene:
+def flat_scene() -> VideoScene:
     made = scene()
     made.left, made.right = camera(), camera("right", baseline_m=0.12)
     made.changed()
@@ -162,8 +162,8 @@ def test_a_way_that_is_told_before_its_motion_is_drawn_with_it() -> None:
 
 
 def test_without_a_calibration_or_a_pose_nothing_is_drawn() -> None:
-    assert Scene().panel("left") == {"version": 0, "outline": [], "controls": [], "missing": "camera"}
-    blind = Scene(left=camera(), faces=FACES)
+    assert VideoScene().panel("left") == {"version": 0, "outline": [], "controls": [], "missing": "camera"}
+    blind = VideoScene(left=camera(), faces=FACES)
     assert blind.panel("left") == {"version": 0, "outline": [], "controls": [], "missing": "panel"}
     assert blind.panel_point((1.0, 1.0)) is None
     lone = scene_without_right()
@@ -171,7 +171,7 @@ def test_without_a_calibration_or_a_pose_nothing_is_drawn() -> None:
     assert lone.panel("left")["controls"] and lone.panel("left")["missing"] == ""
 
 
-def scene_without_right() -> Scene:
+def scene_without_right() -> VideoScene:
     made = scene()
     made.right = None
     made.changed()

@@ -22,8 +22,8 @@ def text(**fields: object) -> str:
 def test_each_kind_of_message_is_typed() -> None:
     assert wire.decode(text(type="alive", client_ms=12.5)) == wire.Alive(seq=1, boot="b", epoch=0, client_ms=12.5)
     assert wire.decode(text(type="hidden")) == wire.Hidden(seq=1, boot="b", epoch=0)
-    assert wire.decode(text(type="stop")) == wire.Stop(seq=1, boot="b", epoch=0)
-    assert wire.decode(text(type="stop", press="x7")) == wire.Stop(seq=1, boot="b", epoch=0, press="x7")
+    assert wire.decode(text(type="stop")) == wire.StopAll(seq=1, boot="b", epoch=0)
+    assert wire.decode(text(type="stop", press="x7")) == wire.StopAll(seq=1, boot="b", epoch=0, press="x7")
     assert wire.decode(text(type="lease", step="take")) == wire.Lease(seq=1, boot="b", epoch=0, step="take")
     granted = wire.decode(text(type="lease", step="grant", to="v2"))
     assert granted == wire.Lease(seq=1, boot="b", epoch=0, step="grant", to="v2")

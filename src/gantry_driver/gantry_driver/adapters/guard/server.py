@@ -195,6 +195,8 @@ class Guard:
         else:
             action = COMMANDS[name]
             value = self._link.call(lambda machine, now: action(machine, now, message))
+            if name == "configure":
+                self._watch.limit_s = message["config"]["node_silence_s"]
             if "id" in message:
                 self._send(frame({"id": message["id"], "value": encoded(value)}))
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from gantry_driver.core.grbl.grbl_messages import Report
+from gantry_driver.core.grbl.grbl_messages import StatusReport
 
 SAME_MM = 0.01
 """Maximum difference between two reports of a board at rest; a motor step is smaller."""
@@ -23,7 +23,7 @@ class KeptPlace:
         self.unlocked = False
         """Whether the board's newest report shows that it accepts lines after the reset."""
 
-    def before_reset(self, report: Report) -> None:
+    def before_reset(self, report: StatusReport) -> None:
         """Note a report of a board that answers without a banner and does not move."""
         self._unlocked = report.state in ("Idle", "Hold")
         self._before = report.mpos_mm if self._unlocked else None
@@ -34,7 +34,7 @@ class KeptPlace:
             self._before, self._unlocked = None, False
         self.mpos_mm, self.unlocked = None, False
 
-    def after_reset(self, report: Report) -> None:
+    def after_reset(self, report: StatusReport) -> None:
         """Note a report after the banner."""
         self.unlocked = self._unlocked and report.state == "Idle"
         place, before = report.mpos_mm, self._before

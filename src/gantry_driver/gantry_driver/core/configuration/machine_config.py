@@ -174,6 +174,7 @@ class DriverConfig(Config):
         maximum=0.5,
         unit="s",
         clock=WALL_TIME,
+        guards="a node that hangs stops the machine after it",
     )
     attendance_timeout_s: float = setting(
         0.8,

@@ -7,7 +7,7 @@ import math
 from gantry_driver.core.configuration.machine_config import DriverConfig
 from gantry_driver.core.envelope.plane import PanelPlane
 from gantry_driver.core.envelope.rules import SIGMAS, Breach, EnvelopeFault, Reading, breach_of
-from gantry_driver.core.grbl.trajectory_gcode import Motion, Move, reading_m
+from gantry_driver.core.grbl.trajectory_gcode import StraightMove, TrajectoryMotion, reading_m
 from icu_common.core.goals.intent import Intent
 
 JUMP_M = 0.002
@@ -46,7 +46,9 @@ class Envelope:
             return ""
         return f"the panel's plane has moved by up to {1000.0 * moved:.1f} mm within the travel"
 
-    def breach(self, motion: Motion, start: Reading, intent: Intent, config: DriverConfig, now: float) -> Breach | None:
+    def breach(
+        self, motion: TrajectoryMotion, start: Reading, intent: Intent, config: DriverConfig, now: float
+    ) -> Breach | None:
         """Return the first point where a motion leaves its allowed space, None if it stays inside."""
         age_s, limit_s = now - self._seen_at, config.envelope.max_age_s
         known = self._plane if age_s <= limit_s else None
@@ -56,12 +58,12 @@ class Envelope:
         return found
 
 
-def path_of(motion: Motion, start: Reading, config: DriverConfig) -> list[Reading]:
+def path_of(motion: TrajectoryMotion, start: Reading, config: DriverConfig) -> list[Reading]:
     """Return the readings at the ends of a motion's parts, beginning with its start."""
     path = [start]
     for part in motion.parts:
         x, y, z = path[-1]
-        if not isinstance(part, Move):
+        if not isinstance(part, StraightMove):
             path.append((x, y, config.stylus.stroke_m if part.down else 0.0))
             continue
         to_x, to_y, to_z = reading_m(part.end_mm, False, config)

@@ -14,7 +14,7 @@ from gantry_driver.core.goals.goal_run import GoalRun, nanoseconds
 from gantry_driver.core.goals.servo import contact_fault
 from gantry_driver.core.goals.touch_checks import note_error, touch_finding
 from gantry_driver.core.job.effects import EffectKind
-from gantry_driver.core.job.goal_job import Fault, Job, Phase
+from gantry_driver.core.job.goal_job import Fault, GoalJob, GoalPhase
 from gantry_driver.core.motion import motion_plan
 from icu_common.core.geometry.geometry import Array
 from icu_common.core.goals.results import Felt, Outcome
@@ -30,13 +30,13 @@ class ContactPhases(GoalRun):
 
     # In the air
 
-    def _aim_lower(self, job: Job) -> None:
+    def _aim_lower(self, job: GoalJob) -> None:
         """Correct the extension of a touch by the stylus's height in earlier looks."""
         self.heights.config = self.config.contact
         if job.touch is not None and not self.config.motion.stylus_two_positions:
             job.aim = replace(job.aim, lower_m=self.heights.stylus.value_m)
 
-    def _take_air(self, job: Job, seen: Array) -> Fault | None:
+    def _take_air(self, job: GoalJob, seen: Array) -> Fault | None:
         """Take the last look before a touch as the baseline of its descent; correct the stylus's offset."""
         tips = self._tips_in_base(job)
         job.air = height_of(seen[np.newaxis] if tips is None else tips, float(self._world.here[2]))
@@ -57,7 +57,7 @@ class ContactPhases(GoalRun):
 
     # Down
 
-    def _touch_down(self, job: Job) -> None:
+    def _touch_down(self, job: GoalJob) -> None:
         assert job.touch is not None
         if not job.touched_ns and (delays := self._view_delays()):
             cause = Message("contact.nothing_touched_late_images", delays=delays[0].text())
@@ -73,11 +73,11 @@ class ContactPhases(GoalRun):
         depth = self._first_extension(job)
         if job.kind == "double":
             between = config.motion.stylus_max_m if config.motion.stylus_two_positions else config.double_lift_m
-            self._try(job, Phase.TOUCH, lambda: motion_plan.plunge_twice(here, depth, between, config.motion))
+            self._try(job, GoalPhase.TOUCH, lambda: motion_plan.plunge_twice(here, depth, between, config.motion))
         else:
-            self._try(job, Phase.TOUCH, lambda: motion_plan.plunge(here, depth, config.motion))
+            self._try(job, GoalPhase.TOUCH, lambda: motion_plan.plunge(here, depth, config.motion))
 
-    def _first_extension(self, job: Job) -> float:
+    def _first_extension(self, job: GoalJob) -> float:
         """Return the extension of the first descent, and note the expected height of the surface."""
         assert job.touch is not None
         touch, config = job.touch, self.config
@@ -89,7 +89,7 @@ class ContactPhases(GoalRun):
         travel = self.heights.travel_m(touch.control, touch.key, usual)
         return min(job.surface_m + travel, self._deepest(job))
 
-    def _deepest(self, job: Job) -> float:
+    def _deepest(self, job: GoalJob) -> float:
         """Return the maximum extension of a press here, by its travel and by the space that the driver allows."""
         config, plane = self.config, self._world.plane
         deepest = job.surface_m + config.contact.max_travel_m
@@ -101,7 +101,7 @@ class ContactPhases(GoalRun):
 
     # In contact
 
-    def _look_at_contact(self, job: Job) -> None:
+    def _look_at_contact(self, job: GoalJob) -> None:
         config = self.config
         job.down_ns = self._now_ns
         job.pressed_ns = job.pressed_ns or self._now_ns
@@ -112,14 +112,14 @@ class ContactPhases(GoalRun):
         elif job.kind in ("hold", "long"):
             most_s = max(job.hold_s, config.press_max_s)
         # The machine came down slowly, was at rest for the duration of its report, and did not move sideways.
-        self._look(Phase.CONTACT, 0.0, most_s, needed=config.contact_tip_count, kept=MAX_TIPS)
+        self._look(GoalPhase.CONTACT, 0.0, most_s, needed=config.contact_tip_count, kept=MAX_TIPS)
 
-    def _holds(self, job: Job) -> bool:
+    def _holds(self, job: GoalJob) -> bool:
         """Whether the contact continues although enough images were seen, because the press goes no deeper."""
         since_ns = job.down_ns if job.kind in ("hold", "long") else job.pressed_ns
         return self._now_ns < since_ns + nanoseconds(job.hold_s) and self._deeper(job) is None
 
-    def _deeper(self, job: Job) -> float | None:
+    def _deeper(self, job: GoalJob) -> float | None:
         """Return the extension of the next step, None at the end of the press."""
         config = self.config
         if config.motion.stylus_two_positions or job.kind == "double" or job.air is None:
@@ -128,11 +128,11 @@ class ContactPhases(GoalRun):
         lag = None if brief or self.switch.closed else self._measured_lag(job)
         return None if lag is None else next_extension_m(job.contact_m, self._deepest(job), lag, config.contact)
 
-    def _leave_contact(self, job: Job) -> None:
+    def _leave_contact(self, job: GoalJob) -> None:
         assert job.touch is not None
         if (deeper := self._deeper(job)) is not None:
             here, motion = self._world.here, self.config.motion
-            self._try(job, Phase.TOUCH, lambda: motion_plan.plunge(here, deeper, motion))
+            self._try(job, GoalPhase.TOUCH, lambda: motion_plan.plunge(here, deeper, motion))
             return
         self._tip_look = replace(self._tip_look, until_ns=self._now_ns)
         job.lag = self._measured_lag(job)
@@ -153,9 +153,9 @@ class ContactPhases(GoalRun):
                 arc[:, 2] += job.contact_m - first  # at the depth of the contact
             motion = self.config.motion
             speed = motion.drag_speed_m_s if job.kind == "drag" else motion.turn_speed_m_s
-            self._try(job, Phase.TURN, lambda: motion_plan.follow(self._world.here, arc, speed, motion))
+            self._try(job, GoalPhase.TURN, lambda: motion_plan.follow(self._world.here, arc, speed, motion))
 
-    def _tips_in_base(self, job: Job) -> Array | None:
+    def _tips_in_base(self, job: GoalJob) -> Array | None:
         """Return the tips (N, 3) of the current look in base_link, None while their position there is unknown."""
         assert job.scene is not None
         base_from_camera = self._world.base_from_camera(job.scene, self.config)
@@ -163,14 +163,14 @@ class ContactPhases(GoalRun):
             return None
         return base_from_camera.apply(np.array(self._tip_look.tips))
 
-    def _measured_lag(self, job: Job) -> Lag | None:
+    def _measured_lag(self, job: GoalJob) -> Lag | None:
         """Return the ball's lag behind its drive; None until it has been measured here and in the air."""
         if job.air is None or self._seen_in_base(job) is None:
             return None
         tips = self._tips_in_base(job)
         return None if tips is None else lag_between(job.air, height_of(tips, job.contact_m), self.config.contact)
 
-    def _measure_contact(self, job: Job) -> Fault | None:
+    def _measure_contact(self, job: GoalJob) -> Fault | None:
         """Measure the error at contact; return its fault, if any."""
         assert job.touch is not None
         seen, above_m = self._seen_in_base(job), math.nan
@@ -185,7 +185,7 @@ class ContactPhases(GoalRun):
 
     # Up again
 
-    def _judge_lag(self, job: Job) -> None:
+    def _judge_lag(self, job: GoalJob) -> None:
         """Evaluate all images of the contact, and correct the heights by them."""
         assert job.touch is not None
         job.lag = self._measured_lag(job) or job.lag
@@ -196,7 +196,7 @@ class ContactPhases(GoalRun):
         finding = self.heights.touched(job.touch.control, job.touch.key, end_m, lag.sigma_m)
         job.findings += () if finding is None else (finding,)
 
-    def _note_free(self, job: Job) -> str:
+    def _note_free(self, job: GoalJob) -> str:
         """Note a ball that has followed its drive to the end; return the code of this case, empty in other cases."""
         lag = self._measured_lag(job)
         if lag is None or not lag.free(self.config.contact) or self.switch.closed:
@@ -204,7 +204,7 @@ class ContactPhases(GoalRun):
         job.lag, job.felt = lag, Felt.NOT_TOUCHED
         return ContactCode.NOT_TOUCHED.value
 
-    def _finish_touch(self, job: Job) -> None:
+    def _finish_touch(self, job: GoalJob) -> None:
         """End a touch that was made: ``reached`` only with a contact."""
         effect = job.effect is not None and job.effect.seen
         own_lamp = job.effect is not None and job.effect.kind is EffectKind.LAMP
@@ -217,7 +217,7 @@ class ContactPhases(GoalRun):
         reason = Message("stylus.is_up", cause=self._unfelt_text(job))
         self._finish(job, Outcome.ABORTED, reason, code=_code_of(job.felt))
 
-    def _unfelt_text(self, job: Job) -> str:
+    def _unfelt_text(self, job: GoalJob) -> str:
         cause = Message("contact.not_known_whether_anything_touched")
         if job.lag is not None:
             beyond_mm, lag_mm = 1000.0 * (job.contact_m - job.surface_m), 1000.0 * job.lag.lag_m

@@ -21,14 +21,14 @@ from gantry_driver.core.goals import goal_intake
 from gantry_driver.core.goals.goal_phases import GoalPhases
 from gantry_driver.core.goals.goal_run import nanoseconds
 from gantry_driver.core.goals.obstacles import obstacles
-from gantry_driver.core.goals.servo import NO_LOOK, Look
+from gantry_driver.core.goals.servo import NO_LOOK, TipLook
 from gantry_driver.core.goals.world import CROSSED_M
 from gantry_driver.core.job import controller_messages as msg
 from gantry_driver.core.job.controller_config import ControllerConfig
-from gantry_driver.core.job.goal_job import MOVING, NANO, OTHERWISE, STATES, Fault, Job, Phase
+from gantry_driver.core.job.goal_job import MOVING, NANO, OTHERWISE, STATES, Fault, GoalJob, GoalPhase
 from gantry_driver.core.job.patience import CLICK_MAX_AGE_S, HoldUp
 from gantry_driver.core.motion.motion_plan import OutOfReach, is_at
-from gantry_driver.core.motion.scene import Refused
+from gantry_driver.core.motion.scene import TargetRefused
 from icu_common.core.alignment.findings import Cause
 from icu_common.core.configuration.text_bounds import plain
 from icu_common.core.geometry.geometry import Array
@@ -56,7 +56,7 @@ class Controller(GoalPhases):
 
     @property
     def state(self) -> str:
-        """Text of the last SetState."""
+        """Text of the last PublishState."""
         return self._state
 
     @property
@@ -155,7 +155,7 @@ class Controller(GoalPhases):
             case msg.Joints():
                 if world.readings is None or np.abs(event.readings - world.readings).max() > CROSSED_M:
                     count, settled_ns = self.config.tip_count, self._now_ns + nanoseconds(self.config.settle_s)
-                    self._rest_look = Look(after_ns=settled_ns, needed=count, kept=count)
+                    self._rest_look = TipLook(after_ns=settled_ns, needed=count, kept=count)
                 world.take_readings(event.readings)
                 self._note_other_motion()
                 self.switch.take(event.probe)
@@ -199,7 +199,7 @@ class Controller(GoalPhases):
                 world.tracked_ns = max(world.tracked_ns, event.stamp_ns)
             case msg.CameraSeen():
                 world.camera, world.camera_stamp_ns = event.camera, event.stamp_ns
-            case msg.Heartbeat():
+            case msg.OperatorHeartbeat():
                 seen_ns, last_ns = world.wall_ns - event.age_ns, world.heartbeat_ns
                 # An older stamp does not replace a newer one.
                 if last_ns is None or not seen_ns < last_ns <= world.wall_ns:
@@ -300,7 +300,7 @@ class Controller(GoalPhases):
     def _set_state(self, text: str, code: ControllerCode) -> None:
         if text != self._state:
             self._state, self.code = text, code
-            self._actions.append(msg.SetState(text=text))
+            self._actions.append(msg.PublishState(text=text))
 
     # Goals
 
@@ -324,22 +324,22 @@ class Controller(GoalPhases):
         make_job = partial(goal_intake.gesture_job, gesture, text, goal_id, self._world, self.config)
         self._accept_or_reject(goal_id, text, make_job)
 
-    def _accept_or_reject(self, goal_id: str, text: str, make_job: Callable[[], Job]) -> None:
+    def _accept_or_reject(self, goal_id: str, text: str, make_job: Callable[[], GoalJob]) -> None:
         try:
             if self._job is not None:
-                raise Refused(Message("controller.busy", job=quoted(self._job.text)))
+                raise TargetRefused(Message("controller.busy", job=quoted(self._job.text)))
             job = make_job()
             if not job.unplanned:
                 self._way_to(job)
         except OutOfReach as error:
             self._reject(goal_id, text, Message("text.more", first=text, second=error))
             return
-        except Refused as error:
+        except TargetRefused as error:
             self._reject(goal_id, text, str(error), error.delay)
             return
         self._job = job
         self._world.unchecked = False
-        self._publish(job, Outcome.ACCEPTED, Phase.SIGHT.value if job.unplanned else "")
+        self._publish(job, Outcome.ACCEPTED, GoalPhase.SIGHT.value if job.unplanned else "")
         self._start(job)
 
     def _reject(self, goal_id: str, text: str, reason: str, delay: Cause | None = None) -> None:

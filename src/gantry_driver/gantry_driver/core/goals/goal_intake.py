@@ -16,10 +16,10 @@ from gantry_driver.core.goals.world import World
 from gantry_driver.core.job.controller_config import ControllerConfig
 from gantry_driver.core.job.controller_messages import PointGoal
 from gantry_driver.core.job.effects import Knob, knob_of
-from gantry_driver.core.job.goal_job import NANO, Aim, Job
+from gantry_driver.core.job.goal_job import NANO, Aim, GoalJob
 from gantry_driver.core.job.patience import goal_limit_s, since
 from gantry_driver.core.motion import motion_plan, targets
-from gantry_driver.core.motion.scene import Refused, Scene
+from gantry_driver.core.motion.scene import Scene, TargetRefused
 from gantry_driver.core.motion.targets import Touch
 from gantry_driver.core.sight.layout_sight import layout_finding
 from icu_common.core.geometry.frames import BASE, CAMERA_LEFT
@@ -38,49 +38,49 @@ def text_of(goal: PointGoal) -> str:
     return Message("goal.press", x=x, y=y, unit=unit, frame=goal.frame)
 
 
-def point_job(goal: PointGoal, world: World, config: ControllerConfig) -> Job:
+def point_job(goal: PointGoal, world: World, config: ControllerConfig) -> GoalJob:
     """Return the job of a point: a move only in base_link, a press in the other frames.
 
     Raises
     ------
-    Refused, OutOfReach
+    TargetRefused, OutOfReach
         With the value and the limit.
     """
     if not np.isfinite(goal.xyz).all():
-        raise Refused(Message("goal.point_not_finite", xyz=", ".join(f"{v:g}" for v in goal.xyz)))
+        raise TargetRefused(Message("goal.point_not_finite", xyz=", ".join(f"{v:g}" for v in goal.xyz)))
     if goal.frame not in targets.FRAMES:
-        raise Refused(Message("goal.frame_none", frame=quoted(goal.frame), frames=", ".join(targets.FRAMES)))
+        raise TargetRefused(Message("goal.frame_none", frame=quoted(goal.frame), frames=", ".join(targets.FRAMES)))
     if goal.stamp_ns != 0:
         age_s, limit_s = (world.now_ns - goal.stamp_ns) / NANO, goal_limit_s(world.held_up_s, config)
         if age_s < -config.goal_max_age_s:
             reason = Message("goal.stale_stamp_old_allowed", age_s=age_s, goal_max_age_s=config.goal_max_age_s)
-            raise Refused(Message("goal.stamp_future_clocks_agree", reason=reason))
+            raise TargetRefused(Message("goal.stamp_future_clocks_agree", reason=reason))
         if age_s > limit_s:
             delay = Delay(code=ResultCode.STALE, what=Message("goal.goal"), measured_s=age_s, limit_s=limit_s)
-            raise Refused(Message("goal.stale_stamp_old_allowed", age_s=age_s, goal_max_age_s=limit_s), delay)
+            raise TargetRefused(Message("goal.stale_stamp_old_allowed", age_s=age_s, goal_max_age_s=limit_s), delay)
     if goal.frame == BASE:
         return _move_job(goal, world, config)
     x, y, z = (float(v) for v in goal.xyz)
     if z != 0.0:
-        raise Refused(Message("goal.z_must_0_surface_found", z=z, frame=goal.frame))
+        raise TargetRefused(Message("goal.z_must_0_surface_found", z=z, frame=goal.frame))
     gesture = Gesture(kind="press", target=Point(x=x, y=y, frame=goal.frame))
     return gesture_job(gesture, text_of(goal), str(goal.stamp_ns), world, config)
 
 
-def _move_job(goal: PointGoal, world: World, config: ControllerConfig) -> Job:
+def _move_job(goal: PointGoal, world: World, config: ControllerConfig) -> GoalJob:
     if goal.xyz[2] > 0:
-        raise Refused(Message("goal.z_above_0_where_stylus", xyz_m=goal.xyz[2]))
+        raise TargetRefused(Message("goal.z_above_0_where_stylus", xyz_m=goal.xyz[2]))
     if goal.xyz[2] < 0 and config.motion.stylus_two_positions:
-        raise Refused(Message("goal.z_stylus_can_only_up", xyz_m=goal.xyz[2]))
+        raise TargetRefused(Message("goal.z_stylus_can_only_up", xyz_m=goal.xyz[2]))
     for obstacle in obstacles(world, config):
         if obstacle.every_goal:
-            raise Refused(obstacle.reason, obstacle.delay)
+            raise TargetRefused(obstacle.reason, obstacle.delay)
     axes = world.base_from_reading
     aim = Aim(base_from_reading=np.eye(2) if axes is None else axes)
     motion_plan.check_reach(aim.readings_at(goal.xyz[np.newaxis]), config.motion)
     if goal.xyz[2] < 0:
         _check_clear(goal.xyz, world, config)
-    return Job(
+    return GoalJob(
         goal_id=str(goal.stamp_ns), text=text_of(goal), kind="move", started_ns=world.now_ns, aim=aim, point=goal.xyz
     )
 
@@ -100,24 +100,26 @@ def _check_clear(goal: Array, world: World, config: ControllerConfig) -> None:
         return
     lowest = targets.highest_near(goal[:2], scene, touch.side_needed_m()) + touch.ball_radius_m
     if goal[2] < lowest:
-        raise Refused(Message("goal.z_touch_panel_lowest_use", goal_m=goal[2], lowest_m=lowest))
+        raise TargetRefused(Message("goal.z_touch_panel_lowest_use", goal_m=goal[2], lowest_m=lowest))
 
 
-def gesture_job(gesture: Gesture, text: str, goal_id: str, world: World, config: ControllerConfig) -> Job:
+def gesture_job(gesture: Gesture, text: str, goal_id: str, world: World, config: ControllerConfig) -> GoalJob:
     """Return the job of a gesture, with ``text`` for people; the job is unplanned if the panel is still to be seen.
 
     Raises
     ------
-    Refused, OutOfReach
+    TargetRefused, OutOfReach
         With the value and the limit.
     """
     if isinstance(gesture.target, Point) and gesture.target.frame not in targets.FRAMES:
-        raise Refused(Message("goal.frame_none", frame=quoted(gesture.target.frame), frames=", ".join(targets.FRAMES)))
+        raise TargetRefused(
+            Message("goal.frame_none", frame=quoted(gesture.target.frame), frames=", ".join(targets.FRAMES))
+        )
     for obstacle in sorted(obstacles(world, config), key=lambda o: o.passing):
         if not obstacle.passing or _in_picture(gesture):
-            raise Refused(obstacle.reason, obstacle.delay)
+            raise TargetRefused(obstacle.reason, obstacle.delay)
         aim = Aim(base_from_reading=np.eye(2))
-        return Job(goal_id=goal_id, text=text, kind=gesture.kind, started_ns=world.now_ns, aim=aim, gesture=gesture)
+        return GoalJob(goal_id=goal_id, text=text, kind=gesture.kind, started_ns=world.now_ns, aim=aim, gesture=gesture)
     scene, seen = world.scene(), world.recently_seen(config)
     knob = None
     if gesture.kind in TURNING and isinstance(gesture.target, str):
@@ -126,17 +128,17 @@ def gesture_job(gesture: Gesture, text: str, goal_id: str, world: World, config:
             _check_marker_not_old(gesture.target, gesture.kind, world, config)
         knob = knob_of(gesture, gesture.target, None if seen is None else seen.control(gesture.target))
     elif gesture.kind in ("click", "set"):
-        raise Refused(Message("goal.needs_knob_name_found", kind=gesture.kind, gesture=quoted(gesture.text())))
+        raise TargetRefused(Message("goal.needs_knob_name_found", kind=gesture.kind, gesture=quoted(gesture.text())))
     touch = find_touch(gesture, knob, scene, config)
     if (finding := layout_finding(touch.control, world.deviations)) is not None:
-        raise Refused(finding.text(), finding)
+        raise TargetRefused(finding.text(), finding)
     found = None if seen is None else seen.control(touch.control)
     if found is not None and found.hidden_by == "edge" and not config.camera_on_carriage:
-        raise Refused(Message("goal.not_picture", control=touch.control))
+        raise TargetRefused(Message("goal.not_picture", control=touch.control))
     if config.require_effect and seen is None and knob is None and touch.control:
-        raise Refused(Message("goal.nothing_seen_panel_state_effect", kind=gesture.kind))
+        raise TargetRefused(Message("goal.nothing_seen_panel_state_effect", kind=gesture.kind))
     hold_s = {"hold": gesture.argument, "press": config.press_s, "long": config.long_press_s}
-    return Job(
+    return GoalJob(
         goal_id=goal_id,
         text=text,
         kind=gesture.kind,
@@ -161,14 +163,14 @@ def _check_marker_not_old(name: str, kind: str, world: World, config: Controller
     last = None if world.seen is None else world.seen.control(name)
     if world.seen is not None and last is not None and not (kind == "turn" and math.isnan(last.angle_deg)):
         age_s, limit_s = world.age_s(world.seen.stamp_ns), config.state_max_age_s
-        raise Refused(
+        raise TargetRefused(
             Message("goal.nothing_seen_most_allowed_try", name=name, since=since(age_s), limit_s=limit_s),
             Delay(code=ResultCode.SLOW, what=Message("goal.marker", name=name), measured_s=age_s, limit_s=limit_s),
         )
 
 
 def find_touch(gesture: Gesture, knob: Knob | None, scene: Scene, config: ControllerConfig) -> Touch:
-    """Return the touch of the gesture, for a knob with its next turn; raises Refused or OutOfReach."""
+    """Return the touch of the gesture, for a knob with its next turn; raises TargetRefused or OutOfReach."""
     way = gesture.argument if knob is None else knob.way_deg
     if gesture.kind in TURNING and not abs(way) > 0:
         way = 1.0  # unknown before the first look at the knob: any turn shows whether the knob is within reach

@@ -11,7 +11,7 @@ import numpy as np
 from gantry_driver.core.contact.memory import HeightMemory
 from gantry_driver.core.contact.switch import StylusSwitch
 from gantry_driver.core.goals.obstacles import first_delay
-from gantry_driver.core.goals.servo import NO_LOOK, Look
+from gantry_driver.core.goals.servo import NO_LOOK, TipLook
 from gantry_driver.core.goals.world import EXTENDED_M, World
 from gantry_driver.core.job import controller_messages as msg
 from gantry_driver.core.job.controller_config import ControllerConfig
@@ -24,9 +24,9 @@ from gantry_driver.core.job.goal_job import (
     UP,
     WAITING,
     Fault,
-    Job,
-    Phase,
-    Step,
+    GoalJob,
+    GoalPhase,
+    PhaseEnd,
     intent_in,
 )
 from gantry_driver.core.job.patience import next_limit_s, since
@@ -54,10 +54,10 @@ class GoalRun:
         self.config = config
         self.heights = HeightMemory(config.contact)
         self.switch = StylusSwitch()
-        self.phase = Phase.IDLE
+        self.phase = GoalPhase.IDLE
         self.counts = dict.fromkeys(Outcome, 0)
         self._world = World()
-        self._job: Job | None = None
+        self._job: GoalJob | None = None
         self._actions: list[msg.Action] = []
         self._state = ""
         self.code = ControllerCode.WORKING
@@ -82,7 +82,7 @@ class GoalRun:
 
     # The motion and the look that a phase waits for
 
-    def _enter(self, phase: Phase, within_s: float) -> None:
+    def _enter(self, phase: GoalPhase, within_s: float) -> None:
         self.phase, self._phase_ns = phase, self._now_ns
         self._deadline_ns = self._now_ns + nanoseconds(within_s)
         self._base_s, self._limit_s, self._moved_s = within_s, within_s, 0.0
@@ -93,13 +93,13 @@ class GoalRun:
 
         A contact is never extended, and no phase lasts more than twice its time, however often blockages occur.
         """
-        if self.phase is Phase.CONTACT:
+        if self.phase is GoalPhase.CONTACT:
             return
         gap_s = min(gap_s, self._base_s - self._moved_s)
         self._moved_s += gap_s
         self._deadline_ns += nanoseconds(gap_s)
 
-    def _go(self, phase: Phase, path: Path) -> None:
+    def _go(self, phase: GoalPhase, path: Path) -> None:
         self._entered_xy = None
         self._enter(phase, 1.5 * path.duration_s + self.config.motion_timeout_s)
         # Stamps identify trajectories, so those of two trajectories at the same time must differ.
@@ -112,7 +112,7 @@ class GoalRun:
             # The machine is already there; newer joint_states confirm it.
             self._end, self._arrived_ns = self._world.here, self._now_ns
 
-    def _send_again(self, job: Job, delay: Delay) -> bool:
+    def _send_again(self, job: GoalJob, delay: Delay) -> bool:
         """Send the path again if the driver rejected it only because it came late; return False if it may not be sent.
 
         The machine has not moved, so the path still starts at the machine's position.
@@ -131,7 +131,7 @@ class GoalRun:
         intent = Intent.MOVE if self._job is None else intent_in(self.phase, self._job.kind)
         self._actions.append(msg.SendTrajectory(stamp_ns=self._stamp_ns, path=path, intent=intent))
 
-    def _try(self, job: Job, phase: Phase, plan: Callable[[], Path]) -> None:
+    def _try(self, job: GoalJob, phase: GoalPhase, plan: Callable[[], Path]) -> None:
         """Enter a phase whose path may leave the reachable area because of a correction."""
         try:
             path = plan()
@@ -140,27 +140,27 @@ class GoalRun:
             return
         self._go(phase, path)
 
-    def _lift(self, job: Job) -> None:
+    def _lift(self, job: GoalJob) -> None:
         job.left_ns = self._now_ns
-        self._go(Phase.LIFT, motion_plan.lift(self._world.here, self.config.motion))
+        self._go(GoalPhase.LIFT, motion_plan.lift(self._world.here, self.config.motion))
 
-    def _way_to(self, job: Job) -> Path:
+    def _way_to(self, job: GoalJob) -> Path:
         """Return the path to the tip's position before a touch; raises OutOfReach."""
         first = job.aim.readings_at(job.tip_goal()[np.newaxis])[0]
         entered_xy = self._entered_xy if job.touch is None else None
         return motion_plan.travel(self._world.here, first[:2], first[2], self.config.motion, entered_xy)
 
-    def _look(self, phase: Phase, settle_s: float, timeout_s: float, *, needed: int, kept: int) -> None:
+    def _look(self, phase: GoalPhase, settle_s: float, timeout_s: float, *, needed: int, kept: int) -> None:
         self.phase = phase
-        self._tip_look = Look(after_ns=self._now_ns + nanoseconds(settle_s), needed=needed, kept=kept)
+        self._tip_look = TipLook(after_ns=self._now_ns + nanoseconds(settle_s), needed=needed, kept=kept)
         self._deadline_ns = self._tip_look.after_ns + nanoseconds(timeout_s)
         self._base_s, self._limit_s, self._moved_s = timeout_s, timeout_s, 0.0
         self._late = None
 
-    def _looked(self, job: Job, seen: bool) -> Step | None:
-        return Step.SEEN if seen else Step.UNSEEN if self._is_over(job) else None
+    def _looked(self, job: GoalJob, seen: bool) -> PhaseEnd | None:
+        return PhaseEnd.SEEN if seen else PhaseEnd.UNSEEN if self._is_over(job) else None
 
-    def _is_over(self, job: Job) -> bool:
+    def _is_over(self, job: GoalJob) -> bool:
         """Whether the phase has timed out; while images are only late, its limit grows up to a bound."""
         if self._now_ns <= self._deadline_ns:
             return False
@@ -173,18 +173,18 @@ class GoalRun:
         self._actions.append(msg.ReportDelay(delay=self._late, then=Message("goal.waiting_up", limit_s=limit_s)))
         return False
 
-    def _image_delay(self, job: Job) -> Delay | None:
+    def _image_delay(self, job: GoalJob) -> Delay | None:
         """Return the delay of the images that the current phase waits for; None if they have been seen."""
         newest_ns, needed_ns = self._world.tracked_ns, 0
         what = Message("goal.image_stylus_tracker_evaluated")
-        if self.phase is Phase.LOOK:
+        if self.phase is GoalPhase.LOOK:
             if (delays := self._view_delays()) and self._seen_in_base(job) is not None:
                 return delays[0]
             # The tracker has evaluated fewer than half of the images of this time.
             needed_ns = self._tip_look.after_ns + nanoseconds(self._base_s / 2)
-        elif self.phase is Phase.MEASURE:
+        elif self.phase is GoalPhase.MEASURE:
             needed_ns = self._tip_look.until_ns
-        elif self.phase is Phase.SIGHT and (delay := first_delay(self._world, self.config)) is not None:
+        elif self.phase is GoalPhase.SIGHT and (delay := first_delay(self._world, self.config)) is not None:
             return delay
         elif self.phase in WAITING and not job.touched_ns and self._world.seen is not None:
             newest_ns, needed_ns = self._world.seen.stamp_ns, self._phase_ns + nanoseconds(self.config.settle_s)
@@ -198,7 +198,7 @@ class GoalRun:
         """Return the delays of images that are too late for a touch; a look may still wait for them."""
         return [delay for delay in self._world.delays(self.config) if delay.code is ResultCode.LATE_IMAGE]
 
-    def _report_delays(self, job: Job) -> None:
+    def _report_delays(self, job: GoalJob) -> None:
         """Report once each delay for which a goal waits before it touches anything."""
         waits = not job.touched_ns and self.phase in (*WAITING, *FREE_VIEW)
         delays = {delay.what: delay for delay in (self._world.delays(self.config) if waits else ())}
@@ -212,7 +212,7 @@ class GoalRun:
         idle = self._world.driver == "idle" or self._now_ns > self._arrived_ns + NANO
         return idle and self._world.readings_ns > self._arrived_ns
 
-    def _check_arrival(self, job: Job) -> bool:
+    def _check_arrival(self, job: GoalJob) -> bool:
         assert self._end is not None
         off = float(np.linalg.norm(self._world.here - self._end))
         if off <= self.config.arrival_tolerance_m:
@@ -230,14 +230,14 @@ class GoalRun:
         """Whether the stylus may touch something, so that only a stop, which lifts it, is safe."""
         return bool(self._world.here[2] > EXTENDED_M)
 
-    def _seen_in_base(self, job: Job) -> Array | None:
+    def _seen_in_base(self, job: GoalJob) -> Array | None:
         assert job.scene is not None
         base_from_camera = self._world.base_from_camera(job.scene, self.config)
         return None if base_from_camera is None else self._tip_look.seen(base_from_camera, self.config.tip_spread_m)
 
     # Ends
 
-    def _fault(self, job: Job) -> Fault | None:
+    def _fault(self, job: GoalJob) -> Fault | None:
         """Return the fault that ends the goal early, if any; called after every event."""
         pushing, crossing = self.phase in PUSHING, self.phase not in STANDING
         patient = not job.touched_ns
@@ -248,7 +248,7 @@ class GoalRun:
         assert job.scene is not None
         if self.phase in FREE_VIEW and (fault := self._world.view_fault(self.config, job.touch.control)) is not None:
             return fault
-        if self.phase is Phase.CONTACT and (fault := self._unwatched_fault(job)) is not None:
+        if self.phase is GoalPhase.CONTACT and (fault := self._unwatched_fault(job)) is not None:
             return fault
         return self._world.sight_fault(
             self.config,
@@ -259,7 +259,7 @@ class GoalRun:
             patient=patient and self.phase in (*FREE_VIEW, *WAITING),
         )
 
-    def _unwatched_fault(self, job: Job) -> Fault | None:
+    def _unwatched_fault(self, job: GoalJob) -> Fault | None:
         """Return the fault of a contact without an image that the stylus tracker has evaluated for too long.
 
         The images of a press, which is shorter, may come while the stylus rises.
@@ -271,7 +271,7 @@ class GoalRun:
         cause = Message("goal.touched_but_not_measured_no", since=since(silent_s))
         return Fault(cause=cause, tells_touch=True)
 
-    def _break_off(self, job: Job, fault: Fault) -> None:
+    def _break_off(self, job: GoalJob, fault: Fault) -> None:
         """End the goal early: hold the machine, or let a motion in the air end and then retract, or only report."""
         cause = fault.cause if job.fault is None else Message("goal.then", cause=job.fault.cause, more=fault.cause)
         delay = fault.delay if job.fault is None else None
@@ -287,10 +287,10 @@ class GoalRun:
             if self.phase not in MOVING:
                 self._lift_after_fault(job)
 
-    def _lift_after_fault(self, job: Job) -> None:
-        self._go(Phase.BREAK_OFF, motion_plan.lift(self._world.here, self.config.motion))
+    def _lift_after_fault(self, job: GoalJob) -> None:
+        self._go(GoalPhase.BREAK_OFF, motion_plan.lift(self._world.here, self.config.motion))
 
-    def _finish_broken_off(self, job: Job) -> None:
+    def _finish_broken_off(self, job: GoalJob) -> None:
         fault = job.fault
         assert fault is not None
         reason = Message("stylus.is_up", cause=fault.cause)
@@ -298,7 +298,7 @@ class GoalRun:
 
     def _abort(
         self,
-        job: Job,
+        job: GoalJob,
         reason: str,
         delay: Cause | None = None,
         *,
@@ -316,7 +316,7 @@ class GoalRun:
 
     def _finish(
         self,
-        job: Job,
+        job: GoalJob,
         outcome: Outcome,
         reason: str = "",
         delay: Cause | None = None,
@@ -327,7 +327,7 @@ class GoalRun:
         if outcome is Outcome.REACHED and job.measured_beside:
             beside = Message("goal.tip_measured_beside_target_could")
             reason = Message("text.and_also", first=beside, second=reason) if reason else beside
-        self.phase = Phase.IDLE
+        self.phase = GoalPhase.IDLE
         self._job = None
         self._reported = set()
         # A goal that has touched, or that needs a reset, must not be repeated without a person.
@@ -336,7 +336,7 @@ class GoalRun:
 
     def _publish(
         self,
-        job: Job,
+        job: GoalJob,
         outcome: Outcome,
         reason: str = "",
         delay: Cause | None = None,

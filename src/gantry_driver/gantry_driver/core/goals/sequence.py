@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from gantry_driver.core.job.effects import SCREEN_CHANGED
 from icu_common.core.configuration.config import Config, setting
 from icu_common.core.goals.results import EFFECT, EFFECT_MISSING, GoalResult, Outcome
-from icu_common.core.goals.sequence import Check, Sequence, Step
+from icu_common.core.goals.sequence import GestureSequence, SequenceStep, StepCheck
 from icu_common.core.panel.panel_state import PanelSeen, angle_between
 from icu_common.core.reasons.message import Message, joined, quoted
 from icu_common.core.reasons.state_text import as_message, state_name
@@ -52,14 +52,14 @@ class SequenceConfig(Config):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SendCommand:
+class SendStepCommand:
     """Send this command to the controller."""
 
     text: str
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Report:
+class SequenceReport:
     """Report a result to the sender of the sequence."""
 
     result: GoalResult
@@ -70,7 +70,7 @@ class StopMachine:
     """Request a stop of the driver: no program is known to work on the started step, and the stylus may press."""
 
 
-Action = SendCommand | StopMachine | Report
+Action = SendStepCommand | StopMachine | SequenceReport
 STOPPED = ("stopped", "alarm", "disconnected", "connecting", "mismatch", "unhomed")
 """States of the driver in which it accepts no motion until a person acts."""
 
@@ -88,7 +88,7 @@ class SequenceRun:
         Time limits.
     """
 
-    def __init__(self, sequence: Sequence, run_id: str, config: SequenceConfig) -> None:
+    def __init__(self, sequence: GestureSequence, run_id: str, config: SequenceConfig) -> None:
         self.sequence, self.run_id, self._config = sequence, run_id, config
         self.done = False
         self._number = 0
@@ -110,12 +110,12 @@ class SequenceRun:
         )
 
     @property
-    def _step(self) -> Step:
+    def _step(self) -> SequenceStep:
         return self.sequence.steps[self._number - 1]
 
     def start(self, now_ns: int) -> list[Action]:
         self._started_ns = self._ticked_ns = now_ns
-        return [Report(result=self._result(Outcome.ACCEPTED, now_ns)), *self._next(now_ns)]
+        return [SequenceReport(result=self._result(Outcome.ACCEPTED, now_ns)), *self._next(now_ns)]
 
     def result(self, answer: GoalResult, now_ns: int) -> list[Action]:
         """Take an answer of the controller."""
@@ -206,11 +206,11 @@ class SequenceRun:
     def _next(self, now_ns: int) -> list[Action]:
         if self._number == len(self.sequence.steps):
             self.done = True
-            return [Report(result=self._result(Outcome.REACHED, now_ns))]
+            return [SequenceReport(result=self._result(Outcome.REACHED, now_ns))]
         self._number += 1
         self._taken, self._answer = False, None
         self._step_ns = self._sign_ns = now_ns
-        return [SendCommand(text=f"{self._step.gesture} id={self.run_id}.{self._number}")]
+        return [SendStepCommand(text=f"{self._step.gesture} id={self.run_id}.{self._number}")]
 
     def _look(self, now_ns: int) -> list[Action]:
         if self.done or self._answer is None or self._missing(self._answer):
@@ -226,7 +226,7 @@ class SequenceRun:
                 found.append(Message("sequence.unlike", check=check.text(), instead=instead))
         return found
 
-    def _unlike(self, check: Check, answer: GoalResult) -> str:
+    def _unlike(self, check: StepCheck, answer: GoalResult) -> str:
         """Return the observation that contradicts the check's expectation, empty if none does."""
         details = dict(answer.details)
         effect = details.get(EFFECT, Message("sequence.not_looked"))
@@ -261,7 +261,7 @@ class SequenceRun:
             gesture=self._step.gesture,
             cause=cause,
         )
-        return [Report(result=self._result(Outcome.ABORTED, now_ns, reason))]
+        return [SequenceReport(result=self._result(Outcome.ABORTED, now_ns, reason))]
 
     def _result(self, outcome: Outcome, now_ns: int, reason: str = "") -> GoalResult:
         return GoalResult(

@@ -26,7 +26,7 @@ MOST_BESIDE = 2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Look:
+class TipLook:
     """One look at the tip.
 
     Parameters
@@ -45,7 +45,7 @@ class Look:
     kept: int
     tips: tuple[Array, ...] = ()
 
-    def with_tip(self, in_camera: Array, stamp_ns: int) -> Look:
+    def with_tip(self, in_camera: Array, stamp_ns: int) -> TipLook:
         """Return the look with one more observation, if its image counts."""
         counts = self.after_ns < stamp_ns <= self.until_ns
         return replace(self, tips=(*self.tips, in_camera)[-self.kept :]) if counts else self
@@ -67,7 +67,7 @@ class Look:
         )
 
 
-NO_LOOK = Look(after_ns=0, until_ns=0, needed=1, kept=1)
+NO_LOOK = TipLook(after_ns=0, until_ns=0, needed=1, kept=1)
 
 
 def judge(error: Array, aim: Aim, config: ControllerConfig) -> Fault | Aim | None:
@@ -120,7 +120,7 @@ def _corrected(error_xy: Array, aim: Aim, most_m: float) -> Fault | Aim:
     return corrected
 
 
-def contact_fault(error_m: float, above_m: float, look: Look, config: ControllerConfig) -> Fault | None:
+def contact_fault(error_m: float, above_m: float, look: TipLook, config: ControllerConfig) -> Fault | None:
     """Return the fault of a touch seen ``error_m`` to the side of its position and ``above_m`` above it, if any.
 
     NaN: not seen. A stylus that sticks, or a camera that repeats its last image, shows the tip at its hover position.

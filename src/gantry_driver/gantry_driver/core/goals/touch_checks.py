@@ -12,10 +12,10 @@ from icu_common.core.geometry.geometry import Array
 
 if TYPE_CHECKING:
     from gantry_driver.core.goals.world import World
-    from gantry_driver.core.job.goal_job import Job
+    from gantry_driver.core.job.goal_job import GoalJob
 
 
-def note_error(job: Job, off: Array, world: World, config: ControllerConfig) -> None:
+def note_error(job: GoalJob, off: Array, world: World, config: ControllerConfig) -> None:
     """Keep the seen offset (3,) of the tip in base_link, with its covariance."""
     assert job.touch is not None and job.scene is not None
     named = job.gesture is not None and isinstance(job.gesture.target, str)  # a point needs no layout
@@ -24,12 +24,12 @@ def note_error(job: Job, off: Array, world: World, config: ControllerConfig) -> 
     job.touch_error = TouchError(seen=off[:2], covariance=covariance)
 
 
-def touch_finding(job: Job, world: World, config: ControllerConfig) -> Finding | None:
+def touch_finding(job: GoalJob, world: World, config: ControllerConfig) -> Finding | None:
     """Return the finding that forbids a touch although the tip is seen above its target."""
     return world.pair_finding(config) or uncertain(job.touch_error, config.max_uncertainty_m)
 
 
-def contact_finding(job: Job, world: World, config: ControllerConfig) -> Finding | None:
+def contact_finding(job: GoalJob, world: World, config: ControllerConfig) -> Finding | None:
     """Return the finding for which a touch that was seen at its position is not confirmed."""
     return (
         world.pair_finding(config)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from gantry_driver.core.grbl.grbl_messages import Report
+from gantry_driver.core.grbl.grbl_messages import StatusReport
 
 
 @dataclass(slots=True)
@@ -44,7 +44,7 @@ class BoardBuffers:
         """Whether reports have shown how full the buffers are (``Bf:``)."""
         return self.rx.size >= 0
 
-    def note(self, report: Report, *, in_flight: bool) -> None:
+    def note(self, report: StatusReport, *, in_flight: bool) -> None:
         """Take the next report; ``in_flight``: whether lines are sent and not answered."""
         empty = report.state == "Idle" and not in_flight
         self.planner.note(report.planner_free, empty=empty)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from gantry_driver.core.grbl.buffers import BoardBuffers
-from gantry_driver.core.grbl.grbl_messages import Report
-from gantry_driver.core.grbl.lines import SYNCHRONISE, Line, answers_missing
+from gantry_driver.core.grbl.grbl_messages import StatusReport
+from gantry_driver.core.grbl.lines import SYNCHRONISE, GrblLine, answers_missing
 from icu_common.core.reasons.message import Message, quoted
 
 MISSING_REPORTS = SURPLUS_REPORTS = 2
@@ -36,9 +36,9 @@ class Contradictions:
 
     def find(
         self,
-        report: Report,
+        report: StatusReport,
         buffers: BoardBuffers,
-        in_flight: Sequence[tuple[Line, float]],
+        in_flight: Sequence[tuple[GrblLine, float]],
         in_flight_bytes: int,
         now: float,
     ) -> str:
@@ -77,7 +77,9 @@ class Contradictions:
         return ""
 
 
-def _lacks_answers(report: Report, buffers: BoardBuffers, in_flight: Sequence[tuple[Line, float]], now: float) -> bool:
+def _lacks_answers(
+    report: StatusReport, buffers: BoardBuffers, in_flight: Sequence[tuple[GrblLine, float]], now: float
+) -> bool:
     if not buffers.reported and report.state == "Idle":
         # No line waits in its buffer, except behind a line in execution, such as a dwell.
         works = bool(in_flight) and in_flight[0][0].waits and in_flight[0][0].text != SYNCHRONISE

@@ -9,7 +9,7 @@ import re
 from dataclasses import dataclass
 from enum import Enum
 
-from icu_common.core.reasons.message import Message as Text
+from icu_common.core.reasons.message import Message
 
 MAX_LINE = 1024
 """Maximum kept bytes of a line; the longest valid lines (help texts of grblHAL) are far shorter."""
@@ -27,31 +27,31 @@ class Dialect(str, Enum):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Message:
+class GrblMessage:
     """Base of all messages of a board."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class OkAnswer(Message):
+class OkAnswer(GrblMessage):
     """``ok``: the board has accepted the oldest unanswered line."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ErrorAnswer(Message):
+class ErrorAnswer(GrblMessage):
     """``error:N``: the board has rejected the oldest unanswered line."""
 
     code: int
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Alarm(Message):
+class Alarm(GrblMessage):
     """``ALARM:N``."""
 
     code: int
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Banner(Message):
+class Banner(GrblMessage):
     """Banner of a board that has started or was reset."""
 
     dialect: Dialect
@@ -59,7 +59,7 @@ class Banner(Message):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Report(Message):
+class StatusReport(GrblMessage):
     """A status report.
 
     Parameters
@@ -96,7 +96,7 @@ class Report(Message):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SettingValue(Message):
+class SettingValue(GrblMessage):
     """One line of ``$$``; ``text`` as printed."""
 
     number: int
@@ -104,7 +104,7 @@ class SettingValue(Message):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class StartupLine(Message):
+class StartupLine(GrblMessage):
     """Line that the board runs after a reset, with its name (``$N0``); ``text`` is empty if it runs none."""
 
     name: str
@@ -112,7 +112,7 @@ class StartupLine(Message):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class BuildOptions(Message):
+class BuildOptions(GrblMessage):
     """``[OPT:flags,planner,rx]``: the sizes of receive buffer and planner, 0 if the firmware reports none."""
 
     rx_bytes: int
@@ -120,7 +120,7 @@ class BuildOptions(Message):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Feedback(Message):
+class Feedback(GrblMessage):
     """Any other ``[KEY:text]``."""
 
     key: str
@@ -128,7 +128,7 @@ class Feedback(Message):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Firmware(Message):
+class Firmware(GrblMessage):
     """Marlin's answer to ``M115``, or grblHAL's ``[FIRMWARE:..]``."""
 
     dialect: Dialect
@@ -136,7 +136,7 @@ class Firmware(Message):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Garbage(Message):
+class Garbage(GrblMessage):
     """A line that is none of the above: noise, or two lines with the newline between them lost."""
 
     raw: bytes
@@ -180,7 +180,7 @@ _PINS = re.compile(r"[A-Z]*\Z")
 _STATES = {"Idle", "Run", "Hold", "Jog", "Alarm", "Door", "Check", "Home", "Sleep", "Tool"}
 
 
-def parse_line(raw: bytes) -> Message:
+def parse_line(raw: bytes) -> GrblMessage:
     """Return the message in a line (without its end); never raises.
 
     Examples
@@ -227,7 +227,7 @@ def _banner(text: str) -> Banner | None:
     return None
 
 
-def _feedback(key: str, value: str) -> Message:
+def _feedback(key: str, value: str) -> GrblMessage:
     if key == "OPT":
         _, *sizes = [*value.split(","), "", ""]
         planner, rx = (int(size) if size.isdigit() else 0 for size in sizes[:2])
@@ -256,7 +256,7 @@ def _position(text: str) -> tuple[float, ...] | None:
     return _numbers(text, 3) if len(decimals) == 1 else None
 
 
-def _report(text: str) -> Report | None:
+def _report(text: str) -> StatusReport | None:
     """Return the report, or None if a part on which the driver depends is damaged."""
     if not text.endswith(">") or "<" in text[1:]:
         return None
@@ -285,7 +285,7 @@ def _report(text: str) -> Report | None:
     pins = found.get("Pn", "")
     if buffers is None or speeds is None or not _PINS.match(pins):
         return None
-    return Report(
+    return StatusReport(
         state=state,
         substate=int(sub) if sub else -1,
         mpos_mm=points["MPos"],
@@ -301,85 +301,85 @@ def _report(text: str) -> Report | None:
 
 
 ALARM_TEXTS = {
-    1: Text("grbl.hard_limit_switch_position_lost"),
-    2: Text("grbl.target_beyond_soft_limits"),
-    3: Text("grbl.reset_while_moving_position_lost"),
-    4: Text("grbl.probe_not_initial_state"),
-    5: Text("grbl.probe_did_not_make_contact"),
-    6: Text("grbl.homing_reset_during_cycle"),
-    7: Text("grbl.homing_door_opened"),
-    8: Text("grbl.homing_pull_off_did_not"),
-    9: Text("grbl.homing_no_switch_found"),
-    10: Text("grbl.emergency_stop_second_axis"),
+    1: Message("grbl.hard_limit_switch_position_lost"),
+    2: Message("grbl.target_beyond_soft_limits"),
+    3: Message("grbl.reset_while_moving_position_lost"),
+    4: Message("grbl.probe_not_initial_state"),
+    5: Message("grbl.probe_did_not_make_contact"),
+    6: Message("grbl.homing_reset_during_cycle"),
+    7: Message("grbl.homing_door_opened"),
+    8: Message("grbl.homing_pull_off_did_not"),
+    9: Message("grbl.homing_no_switch_found"),
+    10: Message("grbl.emergency_stop_second_axis"),
 }
 _ALARM_TEXTS_OF = {
     Dialect.GRBLHAL: {
-        10: Text("grbl.emergency_stop_pressed"),
-        11: Text("grbl.must_homed_first"),
-        12: Text("grbl.limit_switch_engaged"),
-        14: Text("grbl.spindle_not_speed"),
-        17: Text("grbl.motor_fault"),
+        10: Message("grbl.emergency_stop_pressed"),
+        11: Message("grbl.must_homed_first"),
+        12: Message("grbl.limit_switch_engaged"),
+        14: Message("grbl.spindle_not_speed"),
+        17: Message("grbl.motor_fault"),
     },
     Dialect.FLUIDNC: {
-        10: Text("grbl.spindle_fault"),
-        11: Text("grbl.control_limit_input_active_start"),
-        12: Text("grbl.homing_switch_not_clear"),
-        13: Text("grbl.hard_stop"),
-        14: Text("grbl.must_homed_first"),
+        10: Message("grbl.spindle_fault"),
+        11: Message("grbl.control_limit_input_active_start"),
+        12: Message("grbl.homing_switch_not_clear"),
+        13: Message("grbl.hard_stop"),
+        14: Message("grbl.must_homed_first"),
     },
 }
 """Meanings, in other firmwares, of numbers that GRBL does not use or uses differently (grblHAL: alarms.c, FluidNC:
 Protocol.h)."""
 ERROR_TEXTS = {
-    1: Text("grbl.letter_expected"),
-    2: Text("grbl.bad_number"),
-    3: Text("grbl.statement_not_known"),
-    4: Text("grbl.value_must_not_negative"),
-    5: Text("grbl.homing_not_enabled"),
-    6: Text("grbl.step_pulse_shorter_3_us"),
-    7: Text("grbl.eeprom_read_failed"),
-    8: Text("grbl.allowed_only_while_idle"),
-    9: Text("grbl.locked_alarm"),
-    10: Text("grbl.soft_limits_need_homing"),
-    11: Text("grbl.line_too_long"),
-    12: Text("grbl.step_rate_above_firmware_maximum"),
-    13: Text("grbl.safety_door_open"),
-    14: Text("grbl.too_long_stored"),
-    15: Text("grbl.jog_beyond_travel"),
-    16: Text("grbl.bad_jog"),
-    17: Text("grbl.laser_mode_needs_pwm"),
-    18: Text("grbl.reset_signal_held_fluidnc_no"),
-    20: Text("grbl.command_not_supported"),
-    21: Text("grbl.two_commands_one_modal_group"),
-    22: Text("grbl.no_feed_rate"),
-    23: Text("grbl.integer_expected"),
-    24: Text("grbl.two_commands_use_axis_words"),
-    25: Text("grbl.word_given_twice"),
-    26: Text("grbl.no_axis_words"),
-    27: Text("grbl.line_number_out_range"),
-    28: Text("grbl.value_word_missing"),
-    29: Text("grbl.coordinate_system_beyond_g_59"),
-    30: Text("grbl.g_53_needs_g_0"),
-    31: Text("grbl.axis_words_without_use"),
-    32: Text("grbl.arc_without_axis_word_plane"),
-    33: Text("grbl.arc_target"),
-    34: Text("grbl.arc_radius"),
-    35: Text("grbl.arc_offsets"),
-    36: Text("grbl.unused_value_words"),
-    37: Text("grbl.g_43_1_takes_axis"),
-    38: Text("grbl.tool_number_too_large"),
-    45: Text("grbl.limit_switch_engaged_only_homing"),
-    46: Text("grbl.must_homed_first"),
-    50: Text("grbl.emergency_stop_pressed"),
+    1: Message("grbl.letter_expected"),
+    2: Message("grbl.bad_number"),
+    3: Message("grbl.statement_not_known"),
+    4: Message("grbl.value_must_not_negative"),
+    5: Message("grbl.homing_not_enabled"),
+    6: Message("grbl.step_pulse_shorter_3_us"),
+    7: Message("grbl.eeprom_read_failed"),
+    8: Message("grbl.allowed_only_while_idle"),
+    9: Message("grbl.locked_alarm"),
+    10: Message("grbl.soft_limits_need_homing"),
+    11: Message("grbl.line_too_long"),
+    12: Message("grbl.step_rate_above_firmware_maximum"),
+    13: Message("grbl.safety_door_open"),
+    14: Message("grbl.too_long_stored"),
+    15: Message("grbl.jog_beyond_travel"),
+    16: Message("grbl.bad_jog"),
+    17: Message("grbl.laser_mode_needs_pwm"),
+    18: Message("grbl.reset_signal_held_fluidnc_no"),
+    20: Message("grbl.command_not_supported"),
+    21: Message("grbl.two_commands_one_modal_group"),
+    22: Message("grbl.no_feed_rate"),
+    23: Message("grbl.integer_expected"),
+    24: Message("grbl.two_commands_use_axis_words"),
+    25: Message("grbl.word_given_twice"),
+    26: Message("grbl.no_axis_words"),
+    27: Message("grbl.line_number_out_range"),
+    28: Message("grbl.value_word_missing"),
+    29: Message("grbl.coordinate_system_beyond_g_59"),
+    30: Message("grbl.g_53_needs_g_0"),
+    31: Message("grbl.axis_words_without_use"),
+    32: Message("grbl.arc_without_axis_word_plane"),
+    33: Message("grbl.arc_target"),
+    34: Message("grbl.arc_radius"),
+    35: Message("grbl.arc_offsets"),
+    36: Message("grbl.unused_value_words"),
+    37: Message("grbl.g_43_1_takes_axis"),
+    38: Message("grbl.tool_number_too_large"),
+    45: Message("grbl.limit_switch_engaged_only_homing"),
+    46: Message("grbl.must_homed_first"),
+    50: Message("grbl.emergency_stop_pressed"),
 }
 
 
 def alarm_text(code: int, dialect: Dialect) -> str:
     """Return ``ALARM:N (meaning)``."""
     texts = ALARM_TEXTS | _ALARM_TEXTS_OF.get(dialect, {})
-    return Text("grbl.alarm", code=code, texts=texts.get(code, Text("grbl.see_manual_firmware")))
+    return Message("grbl.alarm", code=code, texts=texts.get(code, Message("grbl.see_manual_firmware")))
 
 
 def error_text(code: int) -> str:
     """Return ``error:N (meaning)``."""
-    return Text("grbl.error", code=code, error_texts=ERROR_TEXTS.get(code, Text("grbl.see_manual_firmware")))
+    return Message("grbl.error", code=code, error_texts=ERROR_TEXTS.get(code, Message("grbl.see_manual_firmware")))

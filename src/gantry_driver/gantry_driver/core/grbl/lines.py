@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from gantry_driver.core.grbl.grbl_messages import Banner, Message
+from gantry_driver.core.grbl.grbl_messages import Banner, GrblMessage
 from gantry_driver.core.grbl.modes import ASK_MODES
 
 MAX_LINE_BYTES = 80
@@ -29,7 +29,7 @@ def plain(value: float, digits: int = 3) -> str:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Line:
+class GrblLine:
     """A line for the board: ``number`` counts from 1 within the session, ``text`` has no newline.
 
     Parameters
@@ -48,7 +48,7 @@ class Line:
     alone: bool = False
 
     @classmethod
-    def of(cls, number: int, text: str, answer_within_s: float) -> Line:
+    def of(cls, number: int, text: str, answer_within_s: float) -> GrblLine:
         """Return the line with the properties of its text, which are computed only once."""
         eeprom = _EEPROM.search(text) is not None
         alone = eeprom or (_ACTS.search(text) is not None and text != ASK_MODES)
@@ -66,22 +66,22 @@ class Line:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Acknowledged(Message):
+class Acknowledged(GrblMessage):
     """The board has accepted the line (planned, not executed)."""
 
-    line: Line
+    line: GrblLine
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Refused(Message):
+class LineRefused(GrblMessage):
     """The board has answered ``error:N`` to the line."""
 
-    line: Line
+    line: GrblLine
     code: int
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class WasReset(Message):
+class WasReset(GrblMessage):
     """A banner arrived; the unanswered lines are lost.
 
     Parameters
@@ -98,19 +98,19 @@ class WasReset(Message):
 
     banner: Banner
     expected: bool
-    lost: tuple[Line, ...]
-    unsent: tuple[Line, ...]
+    lost: tuple[GrblLine, ...]
+    unsent: tuple[GrblLine, ...]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class StrayAnswer(Message):
+class StrayAnswer(GrblMessage):
     """An answer without an unanswered line."""
 
-    answer: Message
+    answer: GrblMessage
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class CountBroken(Message):
+class CountBroken(GrblMessage):
     """The count of bytes and answers contradicts the board's messages; the unanswered lines must be discarded."""
 
     reason: str
@@ -136,7 +136,7 @@ class Counts:
 
 
 def answers_missing(
-    in_flight: Iterable[tuple[Line, float]], held_bytes: int, now: float, *, idle: bool, full: bool
+    in_flight: Iterable[tuple[GrblLine, float]], held_bytes: int, now: float, *, idle: bool, full: bool
 ) -> bool:
     """Return whether a board has removed lines from its buffer that it should have answered before its report.
 

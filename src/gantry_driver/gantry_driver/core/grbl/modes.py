@@ -12,7 +12,7 @@ _SPINDLE = re.compile(r"S(\d+(?:\.\d*)?)\Z")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Modes:
+class RequiredModes:
     """Modes that must be in force.
 
     Parameters
@@ -34,7 +34,7 @@ class Modes:
 
         Examples
         --------
-        >>> wanted = Modes(words=frozenset({"G21", "G90"}), feed_mm_min=600.0)
+        >>> wanted = RequiredModes(words=frozenset({"G21", "G90"}), feed_mm_min=600.0)
         >>> wanted.missing("G1 G54 G17 G21 G91 G94 M5 M9 T0 F600 S0")
         'G90'
         """

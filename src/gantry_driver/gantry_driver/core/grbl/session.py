@@ -20,10 +20,10 @@ from gantry_driver.core.grbl.grbl_messages import (
     ErrorAnswer,
     Feedback,
     Garbage,
+    GrblMessage,
     LineReader,
-    Message,
     OkAnswer,
-    Report,
+    StatusReport,
     parse_line,
 )
 from gantry_driver.core.grbl.lines import (
@@ -31,15 +31,14 @@ from gantry_driver.core.grbl.lines import (
     Acknowledged,
     CountBroken,
     Counts,
-    Line,
-    Refused,
+    GrblLine,
+    LineRefused,
     StrayAnswer,
     WasReset,
 )
 from gantry_driver.core.grbl.modes import ASK_MODES
 from gantry_driver.core.grbl.report_requests import SILENT_POLLS, ReportRequests
-from icu_common.core.reasons.message import Message as Text
-from icu_common.core.reasons.message import quoted
+from icu_common.core.reasons.message import Message, quoted
 
 HOLD = b"!"
 RESUME = b"~"
@@ -85,8 +84,8 @@ class GrblSession:
         self.awaiting_banner = False
         self.latency_s = 0.0
         self._reader = LineReader()
-        self._queue: deque[Line] = deque()
-        self._in_flight: deque[tuple[Line, float]] = deque()
+        self._queue: deque[GrblLine] = deque()
+        self._in_flight: deque[tuple[GrblLine, float]] = deque()
         self._in_flight_bytes = 0
         self._realtime = bytearray()
         self._number = 0
@@ -168,7 +167,7 @@ class GrblSession:
         """Number of bytes sent and not acknowledged."""
         return self._in_flight_bytes
 
-    def queue(self, text: str, *, answer_within_s: float = 3.0) -> Line:
+    def queue(self, text: str, *, answer_within_s: float = 3.0) -> GrblLine:
         """Append a line; it is sent when the board has room for it.
 
         Raises
@@ -177,16 +176,16 @@ class GrblSession:
             If the line is empty or too long, or has a byte that is not printable ASCII or is a real-time command.
         """
         if not text or len(text) + 1 > MAX_LINE_BYTES:
-            raise ValueError(Text("grbl.line_length", text=quoted(text), size=len(text) + 1, limit=MAX_LINE_BYTES))
+            raise ValueError(Message("grbl.line_length", text=quoted(text), size=len(text) + 1, limit=MAX_LINE_BYTES))
         for column, char in enumerate(text, 1):
             if not " " <= char <= "}" or char in "!?":
                 raise ValueError(
-                    Text("grbl.line_column_cannot_part_line", text=quoted(text), column=column, char=quoted(char))
+                    Message("grbl.line_column_cannot_part_line", text=quoted(text), column=column, char=quoted(char))
                 )
         if not self.pending:
             self._roomy_reports = 0
         self._number += 1
-        line = Line.of(self._number, text, answer_within_s)
+        line = GrblLine.of(self._number, text, answer_within_s)
         self._queue.append(line)
         return line
 
@@ -205,7 +204,7 @@ class GrblSession:
         self._reset_at = now
         self._drop_queue()
 
-    def receive(self, data: bytes, now: float) -> Iterator[Message]:
+    def receive(self, data: bytes, now: float) -> Iterator[GrblMessage]:
         """Take bytes from the board and yield their messages, in order.
 
         The caller's reaction to a message takes effect before the next one is interpreted; exhaust the iterator.
@@ -214,13 +213,13 @@ class GrblSession:
         for raw in self._reader.feed(data):
             yield from self._interpret(parse_line(raw), now)
 
-    def _interpret(self, message: Message, now: float) -> list[Message]:
-        if isinstance(message, (OkAnswer, ErrorAnswer, Report)) and not self.awaiting_banner:
+    def _interpret(self, message: GrblMessage, now: float) -> list[GrblMessage]:
+        if isinstance(message, (OkAnswer, ErrorAnswer, StatusReport)) and not self.awaiting_banner:
             # The answered bytes were sent after every reset, so the board has executed or ignored all resets.
             self._resets_unanswered = 0
         if isinstance(message, (OkAnswer, ErrorAnswer)):
             return self._answer(message, now)
-        if isinstance(message, Report):
+        if isinstance(message, StatusReport):
             return self._report(message, now)
         if isinstance(message, Banner):
             return self._banner(message, now)
@@ -238,7 +237,7 @@ class GrblSession:
             self._planner_blocks = message.planner_blocks
         return [message]
 
-    def _answer(self, answer: Message, now: float) -> list[Message]:
+    def _answer(self, answer: GrblMessage, now: float) -> list[GrblMessage]:
         # While a reset is in transit, an aborted line can still cause an ok; no counted line belongs to it.
         if self.awaiting_banner or not self._in_flight:
             self.counts.stray += 1
@@ -251,18 +250,18 @@ class GrblSession:
             self._quiet_until = now + EEPROM_PAUSE_S
         if isinstance(answer, ErrorAnswer):
             self.counts.refused += 1
-            return [Refused(line=line, code=answer.code)]
+            return [LineRefused(line=line, code=answer.code)]
         self.counts.acknowledged += 1
         return [Acknowledged(line=line)]
 
-    def _report(self, report: Report, now: float) -> list[Message]:
+    def _report(self, report: StatusReport, now: float) -> list[GrblMessage]:
         self.counts.reports += 1
         before, self.last_report_at, self.unread_report = self.last_report_at, now, b""
         silent = before is not None and now - before > SILENT_POLLS * self.poll_interval_s
         self.report_asked_at = self._requests.answered(now, silent=silent)
         if before is None or now - before > self.poll_interval_s + REPORTS_APART_S:
             self._contradictions.answered()
-        events: list[Message] = []
+        events: list[GrblMessage] = []
         if report.wco_mm is not None:
             self.wco_is_sure = self.wco_mm == report.wco_mm
             self.wco_mm = report.wco_mm
@@ -293,7 +292,7 @@ class GrblSession:
             events.append(CountBroken(reason=broken))
         return events
 
-    def _banner(self, banner: Banner, now: float) -> list[Message]:
+    def _banner(self, banner: Banner, now: float) -> list[GrblMessage]:
         # A delayed board answers the reset and its retry, one after the other.
         expected = self.awaiting_banner or self._resets_unanswered > 0
         self._resets_unanswered = max(0, self._resets_unanswered - 1)
@@ -310,12 +309,12 @@ class GrblSession:
         self._requests.clear()
         return [WasReset(banner=banner, expected=expected, lost=lost, unsent=unsent)]
 
-    def _drop_queue(self) -> tuple[Line, ...]:
+    def _drop_queue(self) -> tuple[GrblLine, ...]:
         unsent = tuple(self._queue)
         self._queue.clear()
         return unsent
 
-    def _drop_lines(self) -> tuple[tuple[Line, ...], tuple[Line, ...]]:
+    def _drop_lines(self) -> tuple[tuple[GrblLine, ...], tuple[GrblLine, ...]]:
         lost = tuple(line for line, _ in self._in_flight)
         self.counts.lost += len(lost)
         self._in_flight.clear()

@@ -51,7 +51,7 @@ class Waypoint:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Move:
+class StraightMove:
     """A straight move in machine coordinates, mm, with the feed of its F word, mm/min.
 
     ``axes`` is 2 if the stylus is not an axis of the board.
@@ -62,34 +62,34 @@ class Move:
     feed: str
     axes: int = 3
 
-    def part(self, start_mm: tuple[float, float, float], end_mm: tuple[float, float, float]) -> Move:
+    def part(self, start_mm: tuple[float, float, float], end_mm: tuple[float, float, float]) -> StraightMove:
         """Return a part of the move."""
-        return Move(start_mm=start_mm, end_mm=end_mm, feed=self.feed, axes=self.axes)
+        return StraightMove(start_mm=start_mm, end_mm=end_mm, feed=self.feed, axes=self.axes)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Order:
+class StylusOrder:
     """Order to lower or lift a stylus without a Z axis, with the time that this takes."""
 
     down: bool
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Motion:
+class TrajectoryMotion:
     """Motion of a trajectory: its parts, the readings at its end (m) and its approximate duration.
 
     ``start_mm`` and ``end_mm`` are machine positions.
     """
 
-    parts: tuple[Move | Order, ...]
+    parts: tuple[StraightMove | StylusOrder, ...]
     start_mm: tuple[float, float, float]
     end_mm: tuple[float, float, float]
     end_m: tuple[float, float, float]
     seconds: float
 
     @property
-    def moves(self) -> list[Move]:
-        return [part for part in self.parts if isinstance(part, Move)]
+    def moves(self) -> list[StraightMove]:
+        return [part for part in self.parts if isinstance(part, StraightMove)]
 
 
 def joint_order(names: Sequence[str]) -> tuple[int, ...]:
@@ -108,7 +108,7 @@ def joint_order(names: Sequence[str]) -> tuple[int, ...]:
 
 def write_motion(
     names: Sequence[str], points: Sequence[Waypoint], start_m: tuple[float, float, float], config: DriverConfig
-) -> Motion:
+) -> TrajectoryMotion:
     """Return the motion of a trajectory that starts at the readings ``start_m``.
 
     The speed of a segment is the point's speed, else the speed that meets its time, else the configured feed. A speed
@@ -124,7 +124,7 @@ def write_motion(
         raise TrajectoryError(
             Message("path.trajectory_points_1_needed", points=len(points), max_points=config.max_points)
         )
-    parts: list[Move | Order] = []
+    parts: list[StraightMove | StylusOrder] = []
     here, clock, total = start_m, 0.0, 0.0
     for number, point in enumerate(points, 1):
         target = _target(number, point, order, here, config)
@@ -134,7 +134,7 @@ def write_motion(
         total += seconds + (config.stylus.dwell_s if config.stylus.kind != "z_axis" and target[2] != here[2] else 0.0)
         here = target
     start_mm, end_mm = (_rounded(mpos_mm(place, config)) for place in (start_m, here))
-    return Motion(parts=tuple(parts), start_mm=start_mm, end_mm=end_mm, end_m=here, seconds=total)
+    return TrajectoryMotion(parts=tuple(parts), start_mm=start_mm, end_mm=end_mm, end_m=here, seconds=total)
 
 
 def stylus_dwell(config: DriverConfig) -> str:
@@ -279,22 +279,22 @@ def _seconds(
 
 def _segment(
     here: tuple[float, float, float], target: tuple[float, float, float], seconds: float, config: DriverConfig
-) -> list[Move | Order]:
+) -> list[StraightMove | StylusOrder]:
     start, end = _rounded(mpos_mm(here, config)), _rounded(mpos_mm(target, config))
     axes = 3 if config.stylus.kind == "z_axis" else 2
     if axes == 2:
         end = (*end[:2], start[2])
-    move: list[Move | Order] = []
+    move: list[StraightMove | StylusOrder] = []
     if any(plain(end[a]) != plain(start[a]) for a in range(axes)):
         distance = math.hypot(*(end[a] - start[a] for a in range(axes)))
         # Below 1 mm/min GRBL's planner needs minutes for one step; such a segment is rounding.
         feed = max(distance / seconds * 60.0, 1.0) if seconds else config.feed_m_s * 6e4
-        move = [Move(start_mm=start, end_mm=end, feed=plain(feed, 1), axes=axes)]
+        move = [StraightMove(start_mm=start, end_mm=end, feed=plain(feed, 1), axes=axes)]
     if config.stylus.kind == "z_axis" or target[2] == here[2]:
         return move
     # Without a Z axis the stylus is up during every move that starts or ends in the air.
     down = target[2] > 0
-    return [*move, Order(down=True)] if down else [Order(down=False), *move]
+    return [*move, StylusOrder(down=True)] if down else [StylusOrder(down=False), *move]
 
 
 def _rounded(place: tuple[float, float, float]) -> tuple[float, float, float]:

@@ -244,7 +244,7 @@ class ControllerConfig(Config):
         10.0,
         "Maximum age of the comparison of both cameras for a touch",
         minimum=0.5,
-        maximum=600.0,
+        maximum=60.0,
         unit="s",
         guards="the right camera may have turned since",
     )

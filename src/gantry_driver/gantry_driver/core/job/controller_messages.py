@@ -182,7 +182,7 @@ class CameraSeen:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Heartbeat:
+class OperatorHeartbeat:
     """The operator was present ``age_ns`` ago, according to the heartbeat's stamp."""
 
     age_ns: int = 0
@@ -220,7 +220,7 @@ Event = (
     | TipSeen
     | TipUnseen
     | CameraSeen
-    | Heartbeat
+    | OperatorHeartbeat
     | Rivals
     | Tick
 )
@@ -241,7 +241,7 @@ class PublishResult:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SetState:
+class PublishState:
     text: str
 
 
@@ -282,4 +282,4 @@ class ReportPlane:
     stamp_ns: int
 
 
-Action = SendTrajectory | PublishResult | SetState | ShowTarget | CallStop | ReportDelay | ReportClear | ReportPlane
+Action = SendTrajectory | PublishResult | PublishState | ShowTarget | CallStop | ReportDelay | ReportClear | ReportPlane

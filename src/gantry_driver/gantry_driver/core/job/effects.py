@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from enum import Enum
 
-from gantry_driver.core.motion.scene import Refused
+from gantry_driver.core.motion.scene import TargetRefused
 from gantry_driver.core.motion.targets import MOST_BIAS_DEG
 from icu_common.core.goals.results import EFFECT, EFFECT_MISSING, EffectMissing
 from icu_common.core.panel.gesture import Gesture
@@ -42,7 +42,7 @@ _MISSING = {
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Effect:
+class GestureEffect:
     """Seen effect of a gesture, and its text for people."""
 
     kind: EffectKind
@@ -60,11 +60,13 @@ class Effect:
 
 
 SCREEN_CHANGED = Message("effect.screen_changed")
-NONE_SEEN = Effect(kind=EffectKind.NONE, text=Message("effect.none_seen"))
-NOT_LOOKED_FOR = Effect(kind=EffectKind.NOT_LOOKED_FOR, text=Message("sequence.not_looked"))
+NONE_SEEN = GestureEffect(kind=EffectKind.NONE, text=Message("effect.none_seen"))
+NOT_LOOKED_FOR = GestureEffect(kind=EffectKind.NOT_LOOKED_FOR, text=Message("sequence.not_looked"))
 
 
-def effect(before: PanelSeen, after: PanelSeen, name: str, since_ns: int, left_ns: int) -> tuple[Effect | None, bool]:
+def effect(
+    before: PanelSeen, after: PanelSeen, name: str, since_ns: int, left_ns: int
+) -> tuple[GestureEffect | None, bool]:
     """Return the change since ``since_ns``, before the contact, and whether this result is final.
 
     The change is None if nothing has visibly changed. The control's own lamp is better evidence than a screen: while
@@ -78,9 +80,11 @@ def effect(before: PanelSeen, after: PanelSeen, name: str, since_ns: int, left_n
     if old is not None and new is not None and old.lamp:
         hidden = not new.lamp or after.stamp_ns <= left_ns
         if not hidden and old.lamp != new.lamp:
-            return Effect(kind=EffectKind.LAMP, text=Message("effect.lamp", lamp=old.lamp, lamp_2=new.lamp)), True
+            return GestureEffect(
+                kind=EffectKind.LAMP, text=Message("effect.lamp", lamp=old.lamp, lamp_2=new.lamp)
+            ), True
     changed = after.changed_ns() > since_ns
-    screen = Effect(kind=EffectKind.SCREEN, text=SCREEN_CHANGED) if changed else None
+    screen = GestureEffect(kind=EffectKind.SCREEN, text=SCREEN_CHANGED) if changed else None
     return screen, changed and not hidden
 
 
@@ -154,7 +158,7 @@ def knob_of(gesture: Gesture, name: str, seen: ControlSeen | None) -> Knob:
 
     Raises
     ------
-    Refused
+    TargetRefused
         If it has no clicks or no such mark, or if nothing is seen of it.
     """
     angle = seen.angle_deg if seen is not None else math.nan
@@ -162,13 +166,13 @@ def knob_of(gesture: Gesture, name: str, seen: ControlSeen | None) -> Knob:
     if gesture.kind == "turn":
         return Knob.seen(name, angle, gesture.argument, detent)
     if seen is None:
-        raise Refused(Message("effect.nothing_seen_needs_recognition_state", name=name, kind=gesture.kind))
+        raise TargetRefused(Message("effect.nothing_seen_needs_recognition_state", name=name, kind=gesture.kind))
     if gesture.kind == "click":
         if not detent:
-            raise Refused(Message("effect.no_clicks_detent_deg_layout", name=name))
+            raise TargetRefused(Message("effect.no_clicks_detent_deg_layout", name=name))
         way = -gesture.argument * detent
         if abs(way) > 360:
-            raise Refused(
+            raise TargetRefused(
                 Message("effect.clicks_degrees_more_whole_turn", argument=gesture.argument, detent_deg=detent)
             )
         return Knob.seen(name, angle, way, detent)
@@ -176,7 +180,7 @@ def knob_of(gesture: Gesture, name: str, seen: ControlSeen | None) -> Knob:
     if gesture.mark:
         marks = dict(seen.marks)
         if gesture.mark not in marks:
-            raise Refused(
+            raise TargetRefused(
                 Message("effect.no_mark", name=name, mark=quoted(gesture.mark), marks=", ".join(marks) or "none")
             )
         goal = marks[gesture.mark]

@@ -11,7 +11,7 @@ import numpy as np
 from gantry_driver.core.contact.heights import HeightFinding
 from gantry_driver.core.contact.lag import Height, Lag
 from gantry_driver.core.contact.press import Evidence
-from gantry_driver.core.job.effects import NOT_LOOKED_FOR, Effect, Knob
+from gantry_driver.core.job.effects import NOT_LOOKED_FOR, GestureEffect, Knob
 from gantry_driver.core.motion.scene import Scene
 from gantry_driver.core.motion.targets import Touch
 from gantry_driver.core.motion.touch_error import TouchError
@@ -28,7 +28,7 @@ from icu_common.core.reasons.message import Message
 NANO = 1_000_000_000
 
 
-class Phase(str, Enum):
+class GoalPhase(str, Enum):
     """Phase of a goal; the value is for diagnostics."""
 
     IDLE = "idle"
@@ -50,52 +50,52 @@ class Phase(str, Enum):
 
 
 MOVING = (
-    Phase.MOVE,
-    Phase.APPROACH,
-    Phase.CORRECT,
-    Phase.RETURN,
-    Phase.TOUCH,
-    Phase.TURN,
-    Phase.LIFT,
-    Phase.ASIDE,
-    Phase.BREAK_OFF,
+    GoalPhase.MOVE,
+    GoalPhase.APPROACH,
+    GoalPhase.CORRECT,
+    GoalPhase.RETURN,
+    GoalPhase.TOUCH,
+    GoalPhase.TURN,
+    GoalPhase.LIFT,
+    GoalPhase.ASIDE,
+    GoalPhase.BREAK_OFF,
 )
-LOOKING = (Phase.LOOK, Phase.CONTACT, Phase.MEASURE)
+LOOKING = (GoalPhase.LOOK, GoalPhase.CONTACT, GoalPhase.MEASURE)
 """Phases with a look at the tip."""
-UP = (Phase.LIFT, Phase.MEASURE, Phase.ASIDE, Phase.READ)
+UP = (GoalPhase.LIFT, GoalPhase.MEASURE, GoalPhase.ASIDE, GoalPhase.READ)
 """Phases after the touch, in which neither a stalled camera nor a moved panel matters."""
-FREE_VIEW = (Phase.APPROACH, Phase.LOOK, Phase.CORRECT, Phase.RETURN)
+FREE_VIEW = (GoalPhase.APPROACH, GoalPhase.LOOK, GoalPhase.CORRECT, GoalPhase.RETURN)
 """Phases in which only the stylus may hide the control."""
-STANDING = (Phase.LOOK, Phase.TOUCH, Phase.CONTACT)
+STANDING = (GoalPhase.LOOK, GoalPhase.TOUCH, GoalPhase.CONTACT)
 """Phases with x and y at rest, so that images of cameras on the carriage match the readings."""
-WAITING = (Phase.SIGHT, Phase.WAIT, Phase.LOOK, Phase.READ)
+WAITING = (GoalPhase.SIGHT, GoalPhase.WAIT, GoalPhase.LOOK, GoalPhase.READ)
 """Phases in which the machine is at rest in the air, before the touch."""
-PUSHING = (Phase.TOUCH, Phase.TURN)
+PUSHING = (GoalPhase.TOUCH, GoalPhase.TURN)
 """Phases in which a moved or doubtful panel stops the machine at once; in others the stylus is in the air, or rises."""
 # Texts of /gantry/state; every other phase shows OTHERWISE.
 STATES = {
-    Phase.LOOK: "looking",
-    Phase.TOUCH: "touching",
-    Phase.CONTACT: "touching",
-    Phase.TURN: "touching",
-    Phase.MEASURE: "looking",
-    Phase.READ: "looking",
-    Phase.WAIT: "looking",
-    Phase.SIGHT: "looking",
+    GoalPhase.LOOK: "looking",
+    GoalPhase.TOUCH: "touching",
+    GoalPhase.CONTACT: "touching",
+    GoalPhase.TURN: "touching",
+    GoalPhase.MEASURE: "looking",
+    GoalPhase.READ: "looking",
+    GoalPhase.WAIT: "looking",
+    GoalPhase.SIGHT: "looking",
 }
 OTHERWISE = "moving"
 WORKING = frozenset((*STATES.values(), OTHERWISE))
 """Texts of /gantry/state while a goal is in progress."""
 
 
-def intent_in(phase: Phase, kind: str) -> Intent:
+def intent_in(phase: GoalPhase, kind: str) -> Intent:
     """Return the intent of a phase's motion, in a goal of a kind."""
-    if phase is Phase.TURN:
+    if phase is GoalPhase.TURN:
         return Intent.DRAG if kind == "drag" else Intent.TURN
-    return Intent.PRESS if phase is Phase.TOUCH else Intent.MOVE
+    return Intent.PRESS if phase is GoalPhase.TOUCH else Intent.MOVE
 
 
-class Step(str, Enum):
+class PhaseEnd(str, Enum):
     """End of a phase."""
 
     ARRIVED = "arrived"
@@ -161,7 +161,7 @@ class Aim:
 
 
 @dataclass(slots=True, kw_only=True, eq=False)
-class Job:
+class GoalJob:
     """The goal in progress."""
 
     goal_id: str
@@ -177,7 +177,7 @@ class Job:
     knob: Knob | None = None
     before: PanelSeen | None = None
     """Last seen state before the stylus went down, with the control's lamp if it has a readable one."""
-    effect: Effect | None = None
+    effect: GestureEffect | None = None
     went_aside: bool = False
     hold_s: float = 0.0
     beside: list[Array] | None = None

@@ -9,7 +9,7 @@ from gantry_driver.core.board_faults.reports import position_mask
 from gantry_driver.core.grbl.grbl_messages import Dialect
 from gantry_driver.core.grbl.settings_profile import differences, lines_to_write
 from gantry_driver.core.machine.connection import Connection
-from gantry_driver.core.states.machine_states import Note, Phase
+from gantry_driver.core.states.machine_states import MachinePhase, Note
 from gantry_driver.core.states.reasons import Why
 from icu_common.core.reasons.message import Message, joined, quoted
 from icu_common.core.reasons.state_text import as_message
@@ -51,10 +51,10 @@ class BoardSettings(Connection):
 
     def accept_settings(self, now: float) -> str:
         """Accept the present differences between the board's settings and the configuration, and no others."""
-        if self.phase is not Phase.MISMATCH or not self._settings or self._misplaced:
+        if self.phase is not MachinePhase.MISMATCH or not self._settings or self._misplaced:
             return Message("settings.nothing_accept_driver", state_text=as_message(self.state_text))
         self._accepted_mismatch = self._mismatch
-        self._enter(Phase.UNHOMED, now)
+        self._enter(MachinePhase.UNHOMED, now)
         return ""
 
     def write_settings(self, now: float, profile: Mapping[int, float] | None = None) -> str:
@@ -62,7 +62,7 @@ class BoardSettings(Connection):
 
         Only settings that differ are written. The machine is unhomed afterwards: steps or travel may have changed.
         """
-        if self.phase not in (Phase.MISMATCH, Phase.UNHOMED, Phase.IDLE) or self._rests_extended():
+        if self.phase not in (MachinePhase.MISMATCH, MachinePhase.UNHOMED, MachinePhase.IDLE) or self._rests_extended():
             return Message("settings.settings_written_board_rest_stylus", state_text=as_message(self.state_text))
         wanted = dict(profile if profile is not None else self.expected_settings())
         lines = lines_to_write(self._settings, wanted) if self._settings else []
@@ -73,7 +73,9 @@ class BoardSettings(Connection):
         self._profile = wanted
         self._kept = {number: text for number, text in self._settings.items() if number not in wanted}
         self._enter(
-            Phase.WRITING, now, Message("settings.writing", lines=", ".join(text.partition("=")[0] for text in lines))
+            MachinePhase.WRITING,
+            now,
+            Message("settings.writing", lines=", ".join(text.partition("=")[0] for text in lines)),
         )
         for text in lines:
             self._marker = self.session.queue(text).number
@@ -81,7 +83,7 @@ class BoardSettings(Connection):
 
     def _read_settings(self, now: float, reason: Why) -> None:
         self._settings, self._startup, self._startup_tries = {}, {}, 0
-        self._enter(Phase.SETTINGS, now, reason)
+        self._enter(MachinePhase.SETTINGS, now, reason)
         self._marker = self.session.queue(READ_SETTINGS).number
 
     def _startup_missing(self) -> list[str]:
@@ -136,8 +138,8 @@ class BoardSettings(Connection):
             return
         if self._latched:
             # Neither a lost link nor a reset of the board clears a stop.
-            self._enter(Phase.STOPPED, now, self._latched)
+            self._enter(MachinePhase.STOPPED, now, self._latched)
         elif self._blocked():
-            self._enter(Phase.MISMATCH, now, self._mismatch)
+            self._enter(MachinePhase.MISMATCH, now, self._mismatch)
         else:
-            self._enter(Phase.UNHOMED, now, self.reason)
+            self._enter(MachinePhase.UNHOMED, now, self.reason)

@@ -16,7 +16,7 @@ from gantry_driver.core.states.machine_states import (
     TRANSITIONS,
     Answered,
     Event,
-    Phase,
+    MachinePhase,
     StateChanged,
 )
 from gantry_driver.core.states.reasons import Why, code_of
@@ -39,7 +39,7 @@ class BoardState:
         self.active = active
         self.counts = Counts()
         self.session = GrblSession(self.counts)
-        self.phase = Phase.CLOSED
+        self.phase = MachinePhase.CLOSED
         self.reason: Why = Message("driver.not_opened_yet")
         self._not_lifted: str | None = None
         """Why a stop has not lifted the stylus, empty if it has; None if no stop has decided about the stylus."""
@@ -109,12 +109,14 @@ class BoardState:
     @property
     def state(self) -> str:
         """The published state without its reason; ``disabled`` if the machine could move once enabled and active."""
-        return "disabled" if self.phase is Phase.IDLE and not (self.enabled and self.active) else self.phase.state
+        return (
+            "disabled" if self.phase is MachinePhase.IDLE and not (self.enabled and self.active) else self.phase.state
+        )
 
     @property
     def state_text(self) -> str:
         """The published state: ``state`` or ``state: reason``."""
-        reason = "inactive" if self.phase is Phase.IDLE and not self.active else self._whole_reason()
+        reason = "inactive" if self.phase is MachinePhase.IDLE and not self.active else self._whole_reason()
         return because(self.state, reason)
 
     def codes(self) -> tuple[tuple[str, str], ...]:
@@ -123,19 +125,25 @@ class BoardState:
         Further clauses may follow this text in the published state, as on a stylus that was not lifted.
         """
         code = code_of(self.reason) if self.phase.state in ("stopped", "mismatch") else ""
-        if self.phase is Phase.MISMATCH and self._settings_differ:
+        if self.phase is MachinePhase.MISMATCH and self._settings_differ:
             code = code or DriverCode.SETTINGS_DIFFER.value
         return ((CODE, code), (REASON, str(self.reason))) if code else ()
 
     @property
     def at_rest(self) -> bool:
         """Whether no motion and no stop is in progress."""
-        return self.phase not in (Phase.HOLDING, Phase.RESETTING, Phase.LIFTING, Phase.MOVING, Phase.HOMING)
+        return self.phase not in (
+            MachinePhase.HOLDING,
+            MachinePhase.RESETTING,
+            MachinePhase.LIFTING,
+            MachinePhase.MOVING,
+            MachinePhase.HOMING,
+        )
 
     @property
     def retreating(self) -> bool:
         """Whether only the stylus moves, off the panel, after a stop; a hold would leave it down."""
-        return self.phase is Phase.LIFTING
+        return self.phase is MachinePhase.LIFTING
 
     @property
     def connected(self) -> bool:
@@ -185,24 +193,24 @@ class BoardState:
 
     # --- transitions ---------------------------------------------------------------------------------------------
 
-    def _enter(self, phase: Phase, now: float, reason: Why = "", not_lifted: str | None = None) -> None:
+    def _enter(self, phase: MachinePhase, now: float, reason: Why = "", not_lifted: str | None = None) -> None:
         if phase is not self.phase and phase not in TRANSITIONS[self.phase] and phase not in OPEN_ENDS:
             raise AssertionError(f"{self.phase.name} to {phase.name} is not in the table")
         self.phase, self.reason, self._since = phase, reason, now
         self._misplaced = False
         self._not_lifted, self._suspended = not_lifted, ""
-        if phase is not Phase.MOVING:
+        if phase is not MachinePhase.MOVING:
             self._pausing = self._resuming = False
-        if phase is Phase.STOPPED and self._distrusted:
+        if phase is MachinePhase.STOPPED and self._distrusted:
             self._distrusted = False
             self._forget_position()
         self._poll_at_rate()
         self._say_if_changed()
 
     def _poll_at_rate(self) -> None:
-        moving = self.phase in (Phase.MOVING, Phase.HOLDING, Phase.RESETTING, Phase.LIFTING)
+        moving = self.phase in (MachinePhase.MOVING, MachinePhase.HOLDING, MachinePhase.RESETTING, MachinePhase.LIFTING)
         rate = self.config.moving_status_rate_hz if moving else self.config.status_rate_hz
-        touching = self.phase is Phase.MOVING and self._goal is not None and self._goal.touching
+        touching = self.phase is MachinePhase.MOVING and self._goal is not None and self._goal.touching
         if touching:
             rate = max(rate, self.config.touch_status_rate_hz)
         self.session.polls_spared = not touching
@@ -254,10 +262,10 @@ class BoardState:
     def _blocked(self) -> bool:
         return bool(self._mismatch) and self._mismatch != self._accepted_mismatch
 
-    def _resting_phase(self) -> Phase:
+    def _resting_phase(self) -> MachinePhase:
         if self._blocked():
-            return Phase.MISMATCH
-        return Phase.IDLE if self.homed else Phase.UNHOMED
+            return MachinePhase.MISMATCH
+        return MachinePhase.IDLE if self.homed else MachinePhase.UNHOMED
 
     @property
     def _extension_m(self) -> float | None:
@@ -280,10 +288,20 @@ class BoardState:
         if self._not_lifted is not None:
             return self._not_lifted
         phase = self.phase
-        rests = phase in (Phase.STOPPED, Phase.ALARM, Phase.ALARM_RESET, Phase.UNHOMED, Phase.MISMATCH)
+        rests = phase in (
+            MachinePhase.STOPPED,
+            MachinePhase.ALARM,
+            MachinePhase.ALARM_RESET,
+            MachinePhase.UNHOMED,
+            MachinePhase.MISMATCH,
+        )
         # After an alarm no stop has decided about the stylus, and nothing lifts it.
-        tells = self.config.lift_on_stop if phase is Phase.STOPPED else phase in (Phase.ALARM, Phase.ALARM_RESET)
-        tells = tells or (self._left_down and (rests or phase is Phase.CLOSED))
+        tells = (
+            self.config.lift_on_stop
+            if phase is MachinePhase.STOPPED
+            else phase in (MachinePhase.ALARM, MachinePhase.ALARM_RESET)
+        )
+        tells = tells or (self._left_down and (rests or phase is MachinePhase.CLOSED))
         if tells and self._stylus is not Stylus.LIMP and self._stylus_is_down():
             return MAY_PRESS
         if rests and self._stylus.may_be_limp(self.config.stylus.kind):
@@ -295,4 +313,4 @@ class BoardState:
         return self.config.stylus.kind == "servo_m3"
 
     def _rests_extended(self) -> bool:
-        return self.phase is Phase.IDLE and self._stylus_is_down()
+        return self.phase is MachinePhase.IDLE and self._stylus_is_down()

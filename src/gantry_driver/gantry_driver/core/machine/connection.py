@@ -6,10 +6,10 @@ import math
 
 from gantry_driver.core.board_faults.kept_place import KeptPlace
 from gantry_driver.core.board_faults.reports import with_quote
-from gantry_driver.core.grbl.grbl_messages import Dialect, Firmware, Report
+from gantry_driver.core.grbl.grbl_messages import Dialect, Firmware, StatusReport
 from gantry_driver.core.grbl.session import HOLD
 from gantry_driver.core.machine.board_state import BoardState
-from gantry_driver.core.states.machine_states import CloseRequested, Phase
+from gantry_driver.core.states.machine_states import CloseRequested, MachinePhase
 from gantry_driver.core.states.reasons import Why
 from icu_common.core.goals.results import Outcome
 from icu_common.core.reasons.message import Message
@@ -54,16 +54,16 @@ class Connection(BoardState):
         self._forget_position()
         self._unanswered = ""
         self.session.start(now)
-        self._enter(Phase.CLOSED, now, reason)
+        self._enter(MachinePhase.CLOSED, now, reason)
 
     def _synchronise(self, now: float, reason: Why) -> None:
         self.session.start(now)
         self.dialect, self.firmware, self._settings, self._probed = Dialect.UNKNOWN, "", {}, 0.0
         self._critical = False
         self._probe_from = now
-        self._enter(Phase.SYNCHRONISE, now, reason)
+        self._enter(MachinePhase.SYNCHRONISE, now, reason)
 
-    def _report_synchronise(self, report: Report, now: float) -> None:
+    def _report_synchronise(self, report: StatusReport, now: float) -> None:
         # The board was already running. A motion is held first: a reset during it would lose the position.
         if self.session.awaiting_banner:
             return
@@ -76,7 +76,7 @@ class Connection(BoardState):
         self.session.polling = False
         self.session.soft_reset(now)
 
-    def _report_connecting(self, report: Report, now: float) -> None:
+    def _report_connecting(self, report: StatusReport, now: float) -> None:
         """Note why the board accepts no lines; it answers none until then."""
         self._kept_place.after_reset(report)
         question = {"Door": Message("link.safety_door_open"), "Hold": Message("link.hold_button_pressed")}.get(
@@ -100,7 +100,7 @@ class Connection(BoardState):
 
     def _on_firmware(self, firmware: Firmware, now: float) -> None:
         if firmware.dialect in REFUSED:
-            if self.phase is Phase.SYNCHRONISE:
+            if self.phase is MachinePhase.SYNCHRONISE:
                 self.firmware = firmware.version
                 self._refuse(firmware.dialect, now)
             return
@@ -111,12 +111,12 @@ class Connection(BoardState):
     def _refuse(self, dialect: Dialect, now: float) -> None:
         self.dialect, self._mismatch, self._settings_differ = dialect, REFUSED[dialect], False
         self.session.polling = False
-        self._enter(Phase.IDENTIFY, now)
-        self._enter(Phase.MISMATCH, now, self._mismatch)
+        self._enter(MachinePhase.IDENTIFY, now)
+        self._enter(MachinePhase.MISMATCH, now, self._mismatch)
 
     def _identify(self, now: float, reason: Why) -> None:
         self._settings, self.left_moving = {}, False
-        self._enter(Phase.IDENTIFY, now, "" if reason == self._unanswered else reason)
+        self._enter(MachinePhase.IDENTIFY, now, "" if reason == self._unanswered else reason)
         self._unanswered = ""
         self.session.polling = True
         self._marker = self.session.queue("$I").number
@@ -126,7 +126,7 @@ class Connection(BoardState):
         text = Message(
             "link.no_answer_while", connect_timeout_s=self.config.connect_timeout_s, waiting_for=self._waiting_for()
         )
-        if self.phase is not Phase.SYNCHRONISE:
+        if self.phase is not MachinePhase.SYNCHRONISE:
             return Message("text.more", first=text, second=self._suspended) if self._suspended else text
         if unread := self.session.unread_report:
             return with_quote(text, unread)
@@ -142,10 +142,10 @@ class Connection(BoardState):
 
     def _waiting_for(self) -> str:
         return {
-            Phase.SYNCHRONISE: Message("link.waiting_banner"),
-            Phase.IDENTIFY: Message("link.asking_build"),
-            Phase.SETTINGS: Message("link.reading_settings"),
-            Phase.WRITING: Message("link.writing_settings"),
+            MachinePhase.SYNCHRONISE: Message("link.waiting_banner"),
+            MachinePhase.IDENTIFY: Message("link.asking_build"),
+            MachinePhase.SETTINGS: Message("link.reading_settings"),
+            MachinePhase.WRITING: Message("link.writing_settings"),
         }.get(self.phase) or Message("state.named", state=self.phase.state)
 
     def _close(self, reason: str, now: float) -> None:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from gantry_driver.core.board_faults.reports import UNPLACED_REPORTS, no_position_text
 from gantry_driver.core.configuration.machine_config import DriverConfig
-from gantry_driver.core.grbl.grbl_messages import Dialect, Report
+from gantry_driver.core.grbl.grbl_messages import Dialect, StatusReport
 from gantry_driver.core.grbl.trajectory_gcode import lift_lines, reading_m
 from gantry_driver.core.machine.stopping import elsewhere
 from gantry_driver.core.machine.streaming import Streaming
-from gantry_driver.core.states.machine_states import Phase, Position
+from gantry_driver.core.states.machine_states import MachinePhase, Position
 from gantry_driver.core.states.reasons import Reason
 from gantry_driver.core.states.stylus_state import Stylus
 from icu_common.core.reasons.codes import DriverCode
@@ -35,13 +35,13 @@ class Homing(Streaming):
 
     def home(self, now: float) -> str:
         """Begin a homing cycle."""
-        if self.phase not in (Phase.UNHOMED, Phase.IDLE) and not self._misplaced:
+        if self.phase not in (MachinePhase.UNHOMED, MachinePhase.IDLE) and not self._misplaced:
             return Message("homing.driver", state_text=as_message(self.state_text))
         if refusal := self._permission(now) or self._unlock_refusal():
             return refusal
         self._forget_position()
         self._homed_mm = None
-        self._enter(Phase.HOMING, now)
+        self._enter(MachinePhase.HOMING, now)
         self._marker_done = False
         if self.config.stylus.kind != "z_axis":
             # The stylus may be down, and a locked board accepts no M3 or M9: unlock, lift, and only then travel.
@@ -66,7 +66,7 @@ class Homing(Streaming):
             return ""
         return Message("homing.board_must_homed_before_takes", number=number, value=value, number_2=number)
 
-    def _report_homing(self, report: Report, now: float) -> None:
+    def _report_homing(self, report: StatusReport, now: float) -> None:
         if not self._marker_done or report.state == "Home":
             return
         if report.state != "Idle":
@@ -92,16 +92,16 @@ class Homing(Streaming):
                 found_mm=found,
                 expected_mm=", ".join(f"{v:g}" for v in expected),
             )
-            self._enter(Phase.MISMATCH, now, Reason(code=DriverCode.HOMED_ELSEWHERE, text=text))
+            self._enter(MachinePhase.MISMATCH, now, Reason(code=DriverCode.HOMED_ELSEWHERE, text=text))
             self._misplaced = True
             return
         self.homed, self._stylus = True, Stylus.lifted(self.config.stylus.kind)
         self.session.executed_all()
         self.reading_m = reading_m(report.mpos_mm, False, self.config)
         self._append_position(report)
-        self._enter(Phase.IDLE, now)
+        self._enter(MachinePhase.IDLE, now)
 
-    def _append_position(self, report: Report) -> None:
+    def _append_position(self, report: StatusReport) -> None:
         assert self.reading_m is not None
         self.probe = "P" in report.pins if self.config.probe == "stylus_switch" else None
         self._events.append(Position(reading_m=self.reading_m, probe=self.probe))

@@ -17,14 +17,14 @@ from gantry_driver.core.grbl.grbl_messages import (
     Dialect,
     Feedback,
     Firmware,
-    Message,
-    Report,
+    GrblMessage,
     SettingValue,
     StartupLine,
+    StatusReport,
     alarm_text,
     error_text,
 )
-from gantry_driver.core.grbl.lines import Acknowledged, CountBroken, Refused, WasReset
+from gantry_driver.core.grbl.lines import Acknowledged, CountBroken, LineRefused, WasReset
 from gantry_driver.core.grbl.session import HOLD
 from gantry_driver.core.grbl.trajectory_gcode import reading_m, stylus_dwell
 from gantry_driver.core.machine.board_settings import READ_STARTUP
@@ -32,11 +32,10 @@ from gantry_driver.core.machine.connection import ASK_ALONE_S, REFUSED
 from gantry_driver.core.machine.homing import HOME, HOMING_LEAST_S, Homing
 from gantry_driver.core.machine.proof import OWN_RESET, RESTS
 from gantry_driver.core.machine.stopping import elsewhere
-from gantry_driver.core.states.machine_states import Note, Phase
+from gantry_driver.core.states.machine_states import MachinePhase, Note
 from gantry_driver.core.wire.faults import MotionFault
 from icu_common.core.goals.results import Outcome
-from icu_common.core.reasons.message import Message as Text
-from icu_common.core.reasons.message import quoted
+from icu_common.core.reasons.message import Message, quoted
 
 BANNER_TIMEOUT_S = 5.0
 BUILD_WITHIN_S = 0.5
@@ -71,33 +70,33 @@ class Machine(Homing):
         self._events += self._resets.tick(now)
         if now >= self._released_at:
             self._was_reset()  # for a solenoid, the same as a reset
-        if phase in (Phase.SYNCHRONISE, Phase.IDENTIFY, Phase.SETTINGS, Phase.WRITING):
+        if phase in (MachinePhase.SYNCHRONISE, MachinePhase.IDENTIFY, MachinePhase.SETTINGS, MachinePhase.WRITING):
             if age > self.config.connect_timeout_s:
                 text = self._no_answer_text()
                 self._close(text, now)
-                self._unanswered = text if phase is Phase.SYNCHRONISE else ""
+                self._unanswered = text if phase is MachinePhase.SYNCHRONISE else ""
                 return
-            if phase is Phase.IDENTIFY and age > BUILD_WITHIN_S and not self._asked_again:
+            if phase is MachinePhase.IDENTIFY and age > BUILD_WITHIN_S and not self._asked_again:
                 self._ask_again(now)
                 return
-            if phase is Phase.SYNCHRONISE and now >= self._probe_from:
+            if phase is MachinePhase.SYNCHRONISE and now >= self._probe_from:
                 self._rouse(age, now)
                 asked = 0.0 < self._probed > now - ASK_ALONE_S
                 self.session.polling = not self.session.awaiting_banner and not asked
-        elif phase is Phase.HOLDING:
+        elif phase is MachinePhase.HOLDING:
             self._tick_holding(age, now)
-        elif phase is Phase.RESETTING and self.session.awaiting_banner and age > BANNER_TIMEOUT_S:
-            self._close(Text("machine.no_banner_within_reset", banner_timeout_s=BANNER_TIMEOUT_S), now)
-        elif phase is Phase.ALARM_RESET:
+        elif phase is MachinePhase.RESETTING and self.session.awaiting_banner and age > BANNER_TIMEOUT_S:
+            self._close(Message("machine.no_banner_within_reset", banner_timeout_s=BANNER_TIMEOUT_S), now)
+        elif phase is MachinePhase.ALARM_RESET:
             if not self.session.awaiting_banner and now >= self._reset_not_before and self._marker == 0:
                 self._marker = -1
                 self.session.soft_reset(now)
             elif age > BANNER_TIMEOUT_S + CRITICAL_ALARM_PAUSE_S:
-                self._close(Text("machine.no_banner_within_reset", banner_timeout_s=BANNER_TIMEOUT_S), now)
-        elif phase is Phase.HOMING and age > self.config.homing_timeout_s:
-            self._halt(Text("machine.homing_took_longer", homing_timeout_s=self.config.homing_timeout_s), now)
-        elif phase is Phase.LIFTING and age > self._lift_timeout_s:
-            self._enter(Phase.STOPPED, now, self.reason, not_lifted=Text("machine.stylus_not_lifted_time"))
+                self._close(Message("machine.no_banner_within_reset", banner_timeout_s=BANNER_TIMEOUT_S), now)
+        elif phase is MachinePhase.HOMING and age > self.config.homing_timeout_s:
+            self._halt(Message("machine.homing_took_longer", homing_timeout_s=self.config.homing_timeout_s), now)
+        elif phase is MachinePhase.LIFTING and age > self._lift_timeout_s:
+            self._enter(MachinePhase.STOPPED, now, self.reason, not_lifted=Message("machine.stylus_not_lifted_time"))
         self._watch(now)
 
     def _watch(self, now: float) -> None:
@@ -105,14 +104,18 @@ class Machine(Homing):
         paused = self._pausing and self._stylus_is_down()
         if (self._rests_extended() or paused) and rested > allowed:
             # The program that lowered the stylus has ended, although the operator is present.
-            self._halt(Text("machine.stylus_left_extended_allowed", rested_s=rested, allowed_s=allowed), now)
+            self._halt(Message("machine.stylus_left_extended_allowed", rested_s=rested, allowed_s=allowed), now)
         if self.moves_or_presses and (refusal := self._heartbeat_refusal(now)):
             self._halt(refusal, now)
         self._check_time(now)
-        excused = self.phase in (Phase.CLOSED, Phase.HOMING) or self._critical or self.session.awaiting_banner
+        excused = (
+            self.phase in (MachinePhase.CLOSED, MachinePhase.HOMING) or self._critical or self.session.awaiting_banner
+        )
         silent = self.session.silent_for(now)
         if not excused and silent > self.config.status_timeout_s:
-            self._close(with_quote(Text("machine.no_status_report", silent_s=silent), self.session.unread_report), now)
+            self._close(
+                with_quote(Message("machine.no_status_report", silent_s=silent), self.session.unread_report), now
+            )
             self.session.realtime(HOLD)  # The last byte before the port is closed: the board may still receive it.
 
     # --- commands ----------------------------------------------------------------------------------------------------
@@ -138,12 +141,12 @@ class Machine(Homing):
 
     # --- messages of the board ---------------------------------------------------------------------------------------
 
-    def _on_message(self, message: Message, now: float) -> None:
-        if isinstance(message, Report):
+    def _on_message(self, message: GrblMessage, now: float) -> None:
+        if isinstance(message, StatusReport):
             self._on_report(message, now)
         elif isinstance(message, Acknowledged):
             self._on_acknowledged(message, now)
-        elif isinstance(message, Refused):
+        elif isinstance(message, LineRefused):
             self._on_refused(message, now)
         elif isinstance(message, WasReset):
             self._on_reset(message, now)
@@ -167,22 +170,22 @@ class Machine(Homing):
         banner = event.banner
         if self.dialect in REFUSED and banner.dialect in REFUSED:
             return
-        if banner.dialect in REFUSED and self.phase is Phase.SYNCHRONISE:
+        if banner.dialect in REFUSED and self.phase is MachinePhase.SYNCHRONISE:
             self._refuse(banner.dialect, now)
             return
         self._critical, self._has_g92, self._frame_mm = False, None, None
         self._kept_place.was_reset(expected=event.expected)
-        if self.phase is Phase.SYNCHRONISE or (event.expected and self.phase is Phase.ALARM_RESET):
+        if self.phase is MachinePhase.SYNCHRONISE or (event.expected and self.phase is MachinePhase.ALARM_RESET):
             # Also after an alarm: it may have come before the settings were read, or the board may be another one.
             self.dialect, self.firmware = banner.dialect, banner.version
-            self._identify(now, self.reason if self.phase is Phase.SYNCHRONISE else "")
-        elif event.expected and self.phase in (Phase.RESETTING, Phase.ALARM):
+            self._identify(now, self.reason if self.phase is MachinePhase.SYNCHRONISE else "")
+        elif event.expected and self.phase in (MachinePhase.RESETTING, MachinePhase.ALARM):
             self._stylus = self._stylus.powerless(self.config.stylus.kind)
             self.session.poll_now()
-        elif self.phase in (Phase.ALARM, Phase.ALARM_RESET):
+        elif self.phase in (MachinePhase.ALARM, MachinePhase.ALARM_RESET):
             # GRBL resets itself after most alarms, which remain the reason; lines in transit must not run.
             self.session.realtime(HOLD)
-        elif self.phase in (Phase.IDENTIFY, Phase.SETTINGS):
+        elif self.phase in (MachinePhase.IDENTIFY, MachinePhase.SETTINGS):
             # The board's own banner and the banner of the requested reset crossed.
             self._identify(now, self.reason)
         else:
@@ -192,7 +195,7 @@ class Machine(Homing):
     def _ask_again(self, now: float) -> None:
         """Reset a board that does not answer ``$I``: one flipped bit makes it ``$H``, which homes."""
         self._asked_again = True
-        reason = Text("machine.board_not_answered_within_may", build_within_s=BUILD_WITHIN_S)
+        reason = Message("machine.board_not_answered_within_may", build_within_s=BUILD_WITHIN_S)
         self._events.append(Note(level="error", text=reason))
         self._synchronise(now, reason)
         self.session.soft_reset(now)
@@ -221,73 +224,85 @@ class Machine(Homing):
                 self._modes_answered(goal, now)
             if self._stage_sent(goal):
                 self.session.poll_now()
-        if event.line.text == HOME and self.phase is Phase.HOMING and self.session.latency_s < HOMING_LEAST_S:
+        if event.line.text == HOME and self.phase is MachinePhase.HOMING and self.session.latency_s < HOMING_LEAST_S:
             # A damaged $H is a query that is answered at once, or a comment.
-            text = Text("machine.homing_answered_after_board_not", latency_s=self.session.latency_s)
+            text = Message("machine.homing_answered_after_board_not", latency_s=self.session.latency_s)
             self._halt(text, now)
             return
         if number != self._marker:
             return
-        if self.phase is Phase.IDENTIFY:
+        if self.phase is MachinePhase.IDENTIFY:
             self._read_settings(now, self.reason)
-        elif self.phase is Phase.WRITING:
+        elif self.phase is MachinePhase.WRITING:
             self._read_settings(now, "")
-        elif self.phase is Phase.SETTINGS:
+        elif self.phase is MachinePhase.SETTINGS:
             self._read_startup(now)
-        elif self.phase in (Phase.HOMING, Phase.LIFTING):
+        elif self.phase in (MachinePhase.HOMING, MachinePhase.LIFTING):
             self._marker_done = True
             self.session.poll_now()
 
-    def _on_refused(self, event: Refused, now: float) -> None:
-        text = Text(
+    def _on_refused(self, event: LineRefused, now: float) -> None:
+        text = Message(
             "machine.line", error_text=error_text(event.code), number=event.line.number, line=quoted(event.line.text)
         )
         self._events.append(Note(level="error", text=text))
         if self._confirms_again(event.line, now):
             return
-        if self.phase in (Phase.MOVING, Phase.IDLE):
+        if self.phase in (MachinePhase.MOVING, MachinePhase.IDLE):
             self._halt(text, now)
-        elif self.phase is Phase.HOMING:
-            self._halt(Text("machine.homing_refused", text=text), now)
-        elif self.phase is Phase.LIFTING:
-            self._enter(Phase.STOPPED, now, self.reason, not_lifted=Text("machine.stylus_not_lifted", text=text))
-        elif self.phase is Phase.WRITING and event.line.number == self._marker:
+        elif self.phase is MachinePhase.HOMING:
+            self._halt(Message("machine.homing_refused", text=text), now)
+        elif self.phase is MachinePhase.LIFTING:
+            self._enter(
+                MachinePhase.STOPPED, now, self.reason, not_lifted=Message("machine.stylus_not_lifted", text=text)
+            )
+        elif self.phase is MachinePhase.WRITING and event.line.number == self._marker:
             self._read_settings(now, "")
-        elif self.phase is Phase.SETTINGS and event.line.text in READ_STARTUP:
+        elif self.phase is MachinePhase.SETTINGS and event.line.text in READ_STARTUP:
             if event.code != EEPROM_READ_FAILED:  # a firmware without this query has no such lines
                 self._startup = dict.fromkeys(READ_STARTUP[event.line.text], "") | self._startup
             if event.line.number == self._marker:
                 self._read_startup(now)
-        elif self.phase in (Phase.IDENTIFY, Phase.SETTINGS) and event.line.number == self._marker:
-            self._close(Text("machine.refused", line=event.line.text, text=text), now)
+        elif self.phase in (MachinePhase.IDENTIFY, MachinePhase.SETTINGS) and event.line.number == self._marker:
+            self._close(Message("machine.refused", line=event.line.text, text=text), now)
 
     def _on_alarm(self, alarm: Alarm, now: float) -> None:
         text = alarm_text(alarm.code, self.dialect)
-        if self.phase in (Phase.SYNCHRONISE, Phase.CLOSED):
+        if self.phase in (MachinePhase.SYNCHRONISE, MachinePhase.CLOSED):
             return
-        if self.phase is Phase.RESETTING and not self.homed:
+        if self.phase is MachinePhase.RESETTING and not self.homed:
             # A reset with an unknown position (homing cycle, incomplete hold) may cause ALARM:3 or 6.
             self._events.append(Note(level="warn", text=text))
             return
-        if not self.homed and self.phase is not Phase.HOMING and alarm.code == HOMING_WANTED.get(self.dialect):
+        if not self.homed and self.phase is not MachinePhase.HOMING and alarm.code == HOMING_WANTED.get(self.dialect):
             return
         self._critical = alarm.code in (1, 2, 10)
         self._reset_not_before = now + (CRITICAL_ALARM_PAUSE_S if self._critical else 0.0)
         self._to_alarm(text, now, code=alarm.code)
 
     def _on_count_broken(self, event: CountBroken, now: float) -> None:
-        if self.phase in (Phase.ALARM, Phase.ALARM_RESET):
+        if self.phase in (MachinePhase.ALARM, MachinePhase.ALARM_RESET):
             return  # the reset discards the unanswered lines
         self._events.append(Note(level="error", text=event.reason))
-        if self.phase in (Phase.IDENTIFY, Phase.SETTINGS, Phase.WRITING, Phase.MISMATCH, Phase.UNHOMED):
+        if self.phase in (
+            MachinePhase.IDENTIFY,
+            MachinePhase.SETTINGS,
+            MachinePhase.WRITING,
+            MachinePhase.MISMATCH,
+            MachinePhase.UNHOMED,
+        ):
             self._synchronise(now, event.reason)
-        elif self.phase is Phase.MOVING:
+        elif self.phase is MachinePhase.MOVING:
             self._fault(MotionFault.LOST_ANSWER, event.reason, now)
-        elif self.phase in (Phase.IDLE, Phase.HOMING, Phase.LIFTING):
+        elif self.phase in (MachinePhase.IDLE, MachinePhase.HOMING, MachinePhase.LIFTING):
             self._halt(event.reason, now)
 
-    def _on_report(self, report: Report, now: float) -> None:
-        if report.state == "Alarm" and self.homed and self.phase not in (Phase.RESETTING, Phase.ALARM_RESET):
+    def _on_report(self, report: StatusReport, now: float) -> None:
+        if (
+            report.state == "Alarm"
+            and self.homed
+            and self.phase not in (MachinePhase.RESETTING, MachinePhase.ALARM_RESET)
+        ):
             self._handle_report(report, now)  # its position is no longer valid
             return
         if strayed := self._strayed(report, now):
@@ -306,32 +321,32 @@ class Machine(Homing):
         if self._leaves_path(report, now) or self._moves_at_rest(report, now):
             self.counts.disbelieved += 1
             return
-        if self.phase is not Phase.RESETTING:
+        if self.phase is not MachinePhase.RESETTING:
             asked_at = self.session.report_asked_at
             self._stood_mm, self._stood_at, self._moved_mm = report.mpos_mm, asked_at, None
         stood = self._stood_mm
-        moved = self.phase is Phase.RESETTING and stood and report.mpos_mm and elsewhere(report.mpos_mm, stood)
+        moved = self.phase is MachinePhase.RESETTING and stood and report.mpos_mm and elsewhere(report.mpos_mm, stood)
         if self.homed and report.mpos_mm is not None and not moved:
             # A rising stylus counts as down: if an alarm ends the retreat, this is the last reading of it.
             self.reading_m = reading_m(report.mpos_mm, self._stylus_is_down(), self.config)
             self._append_position(report)
         self._handle_report(report, now)
 
-    def _handle_report(self, report: Report, now: float) -> None:
+    def _handle_report(self, report: StatusReport, now: float) -> None:
         handler = {
-            Phase.SYNCHRONISE: self._report_synchronise,
-            Phase.IDENTIFY: self._report_connecting,
-            Phase.SETTINGS: self._report_connecting,
-            Phase.WRITING: self._report_connecting,
-            Phase.HOMING: self._report_homing,
-            Phase.IDLE: self._report_resting,
-            Phase.UNHOMED: self._report_resting,
-            Phase.MISMATCH: self._report_resting,
-            Phase.STOPPED: self._report_resting,
-            Phase.MOVING: self._report_moving,
-            Phase.HOLDING: self._report_holding,
-            Phase.RESETTING: self._report_resetting,
-            Phase.LIFTING: self._report_lifting,
+            MachinePhase.SYNCHRONISE: self._report_synchronise,
+            MachinePhase.IDENTIFY: self._report_connecting,
+            MachinePhase.SETTINGS: self._report_connecting,
+            MachinePhase.WRITING: self._report_connecting,
+            MachinePhase.HOMING: self._report_homing,
+            MachinePhase.IDLE: self._report_resting,
+            MachinePhase.UNHOMED: self._report_resting,
+            MachinePhase.MISMATCH: self._report_resting,
+            MachinePhase.STOPPED: self._report_resting,
+            MachinePhase.MOVING: self._report_moving,
+            MachinePhase.HOLDING: self._report_holding,
+            MachinePhase.RESETTING: self._report_resetting,
+            MachinePhase.LIFTING: self._report_lifting,
         }.get(self.phase)
         if handler is not None:
             handler(report, now)

@@ -6,13 +6,13 @@ import math
 from collections.abc import Sequence
 
 from gantry_driver.core.configuration.machine_config import DriverConfig
-from gantry_driver.core.grbl.grbl_messages import Report
-from gantry_driver.core.grbl.lines import Line
+from gantry_driver.core.grbl.grbl_messages import StatusReport
+from gantry_driver.core.grbl.lines import GrblLine
 from gantry_driver.core.grbl.modes import ASK_MODES
 from gantry_driver.core.grbl.session import FULL_FEED, FULL_SPINDLE, HOLD, RESUME
 from gantry_driver.core.grbl.trajectory_gcode import may_be_down_after, reading_m
 from gantry_driver.core.machine.stopping import SAME_PLACE_MM, Stopping, elsewhere
-from gantry_driver.core.states.machine_states import Note, Phase
+from gantry_driver.core.states.machine_states import MachinePhase, Note
 from gantry_driver.core.states.stylus_state import Stylus
 from gantry_driver.core.wire.faults import MotionFault
 from gantry_driver.core.wire.goal import Goal, Reading
@@ -28,7 +28,7 @@ ELSEWHERE_S = 0.1
 """
 OWN_RESET = Message("proof.board_reset_itself_position_lost")
 ELSEWHERE = Message("proof.board_stands_elsewhere_without_command")
-RESTS = Phase.IDLE, Phase.STOPPED
+RESTS = MachinePhase.IDLE, MachinePhase.STOPPED
 """Phases of a homed machine in which the board moves only without a command."""
 BEYOND_MM = 0.5
 """Maximum distance beyond the travel in a report: a switch that was adjusted by hand, and rounding."""
@@ -63,10 +63,10 @@ class Proving(Stopping):
 
     def output(self, now: float) -> bytes:
         """Return the bytes to write."""
-        if self.phase is Phase.MOVING and self._goal is not None:
+        if self.phase is MachinePhase.MOVING and self._goal is not None:
             self._queue_more(self._goal)
         # Not with an override below 100 %: an operator has set it, and it must not change.
-        self.session.sets_feed_back = self.phase is Phase.MOVING and self._feed_percent == 100.0
+        self.session.sets_feed_back = self.phase is MachinePhase.MOVING and self._feed_percent == 100.0
         return super().output(now)
 
     def seen_clear(self, height_m: float, age_s: float) -> None:
@@ -115,7 +115,7 @@ class Proving(Stopping):
         self._order_stylus(line)
         goal.last_line = line.number
 
-    def _order_stylus(self, line: Line) -> None:
+    def _order_stylus(self, line: GrblLine) -> None:
         """Note how a queued line may move the stylus."""
         if self.config.stylus.kind == "z_axis":
             if "Z" in line.text:
@@ -155,10 +155,15 @@ class Proving(Stopping):
             )
             self._fault(MotionFault.MODES_DIFFER, text, now)
 
-    def _confirms_again(self, line: Line, now: float) -> bool:
+    def _confirms_again(self, line: GrblLine, now: float) -> bool:
         """Return whether to resend a rejected line: it only sets or requests modes, so the board has done nothing."""
         goal = self._goal
-        if goal is None or goal.confirming is None or self.phase is not Phase.MOVING or goal.tries >= CONFIRM_TRIES - 1:
+        if (
+            goal is None
+            or goal.confirming is None
+            or self.phase is not MachinePhase.MOVING
+            or goal.tries >= CONFIRM_TRIES - 1
+        ):
             return False
         first = goal.confirm_line - len(goal.confirming.lines)
         if not first <= line.number <= goal.confirm_line:
@@ -173,13 +178,13 @@ class Proving(Stopping):
         self._halt(reason, now)
         self._distrusted = code is MotionFault.LEFT_PATH
 
-    def _leaves_path(self, report: Report, now: float) -> bool:
+    def _leaves_path(self, report: StatusReport, now: float) -> bool:
         """Compare a report of a moving board with the path; return whether to ignore the report.
 
         The first report off the path holds the board, and the next decides: noise damages one report, hardly two.
         """
         goal = self._goal
-        if goal is None or goal.watch is None or report.mpos_mm is None or self.phase is not Phase.MOVING:
+        if goal is None or goal.watch is None or report.mpos_mm is None or self.phase is not MachinePhase.MOVING:
             return False
         if goal.marks is not None:
             executed_mm = goal.marks.executed_mm(self._acked, self.session.blocks_waiting)
@@ -211,7 +216,7 @@ class Proving(Stopping):
     def _check_time(self, now: float) -> None:
         """End a goal that takes too long, because of a damaged feed or coordinate."""
         goal = self._goal
-        if goal is None or self.phase is not Phase.MOVING or self._pausing:
+        if goal is None or self.phase is not MachinePhase.MOVING or self._pausing:
             return
         limit_s = goal.limit_s * 100.0 / max(goal.slowest_percent, 1.0)
         if (took_s := now - goal.started - goal.paused_s) > limit_s:
@@ -219,7 +224,7 @@ class Proving(Stopping):
             details = (("duration_s", f"{took_s:.1f}"), ("limit_s", f"{limit_s:.1f}"))
             self._fault(MotionFault.OVERDUE, text, now, details)
 
-    def _at_rest(self, goal: Goal, report: Report, now: float) -> None:
+    def _at_rest(self, goal: Goal, report: StatusReport, now: float) -> None:
         """Accept the proof of a stage, or fail the goal once a later report also shows another position."""
         here = self.reading_m
         if here is None or report.mpos_mm is None:
@@ -246,7 +251,7 @@ class Proving(Stopping):
             "proof.board_stands_instead_off", metres=_metres(here), metres_2=_metres(end_m), error_mm=1000.0 * error_m
         )
 
-    def _frame_is_set(self, goal: Goal, report: Report, now: float) -> bool:
+    def _frame_is_set(self, goal: Goal, report: StatusReport, now: float) -> bool:
         """Whether the board reports the frame of the path; if it reports another one, order the frame again."""
         offset, origin = self.session.wco_mm, goal.origin_mm
         if origin is None:
@@ -270,13 +275,13 @@ class Proving(Stopping):
     def _arrive(self, goal: Goal, error_m: float, now: float) -> None:
         self.session.executed_all()
         self._stylus = self._stylus.settled()
-        self._enter(Phase.IDLE, now)
+        self._enter(MachinePhase.IDLE, now)
         self._finish(Outcome.REACHED, "", now, error_m)
 
-    def _strayed(self, report: Report, now: float) -> str:
+    def _strayed(self, report: StatusReport, now: float) -> str:
         """Return why the board cannot be at the position in a report; empty if it can."""
         place, before = report.mpos_mm, self._stood_mm
-        if not self.homed or place is None or before is None or self.phase is Phase.RESETTING:
+        if not self.homed or place is None or before is None or self.phase is MachinePhase.RESETTING:
             return ""
         if self.phase in RESTS and report.state == "Idle":
             there = len(place) == len(before) and not elsewhere(place, before)
@@ -286,7 +291,7 @@ class Proving(Stopping):
             return ""
         return ELSEWHERE if any(place) else OWN_RESET
 
-    def _moves_at_rest(self, report: Report, now: float) -> bool:
+    def _moves_at_rest(self, report: StatusReport, now: float) -> bool:
         """Return whether a board that should rest reports another position; only the state of the report counts.
 
         A pendant may move the board, so the report holds the machine at once. It may also be an old report that
@@ -319,7 +324,7 @@ class Proving(Stopping):
         """
         rises = feed > self._feed_percent > 100.0
         self._feed_percent = feed
-        if rises and self.phase is Phase.MOVING:
+        if rises and self.phase is MachinePhase.MOVING:
             # Each byte that should reset the override arrives as a different one.
             self._halt(Message("proof.board_feed_override_rises_although", feed_percent=feed), now)
         if self._goal is not None:

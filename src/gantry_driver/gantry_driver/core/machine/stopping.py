@@ -9,12 +9,12 @@ from collections.abc import Sequence
 
 from gantry_driver.core.configuration.clearance import TUBE_MM
 from gantry_driver.core.configuration.machine_config import DriverConfig
-from gantry_driver.core.grbl.grbl_messages import Dialect, Report
+from gantry_driver.core.grbl.grbl_messages import Dialect, StatusReport
 from gantry_driver.core.grbl.session import HOLD, RESUME
 from gantry_driver.core.grbl.trajectory_gcode import lift_lines, reading_m
 from gantry_driver.core.machine.board_settings import BoardSettings
 from gantry_driver.core.machine.connection import HOLD_REPEAT_S, REFUSED
-from gantry_driver.core.states.machine_states import Note, Phase
+from gantry_driver.core.states.machine_states import MachinePhase, Note
 from gantry_driver.core.states.reasons import Why
 from gantry_driver.core.states.stylus_state import STYLUS_DOWN_M, Stylus
 from icu_common.core.goals.results import Outcome
@@ -64,61 +64,61 @@ class Stopping(BoardSettings):
         hold_written
             Whether the ``!`` has already been written.
         """
-        if self.phase is Phase.ALARM or self.dialect in REFUSED:
+        if self.phase is MachinePhase.ALARM or self.dialect in REFUSED:
             return
         self._latched = self._latched or reason
-        if self.phase in (Phase.SYNCHRONISE, Phase.IDENTIFY, Phase.SETTINGS, Phase.WRITING):
+        if self.phase in (MachinePhase.SYNCHRONISE, MachinePhase.IDENTIFY, MachinePhase.SETTINGS, MachinePhase.WRITING):
             self._synchronise(now, "")
             if not hold_written:
                 self.session.realtime(HOLD)
-        if self.phase in (Phase.CLOSED, Phase.SYNCHRONISE, Phase.ALARM_RESET):
+        if self.phase in (MachinePhase.CLOSED, MachinePhase.SYNCHRONISE, MachinePhase.ALARM_RESET):
             return
-        if self.phase is Phase.LIFTING and not hold_written:
+        if self.phase is MachinePhase.LIFTING and not hold_written:
             return  # The retreat already leads to the safe state: a repeated stop does not interrupt it.
-        if self.phase is Phase.STOPPED:
+        if self.phase is MachinePhase.STOPPED:
             self._lift = self.config.lift_on_stop and not self._lift_barred  # also if a lost count ended the retreat
         self._halt(reason, now, hold_written=hold_written, lift_again=True)
 
     def reset(self, now: float) -> str:
         """Leave ``stopped``, ``alarm``, or the ``mismatch`` of a machine that homed at another position."""
-        if self.phase is Phase.STOPPED:
+        if self.phase is MachinePhase.STOPPED:
             self._latched = ""
             self._enter(self._resting_phase(), now, self._mismatch if self._blocked() else "")
             return ""
-        if self.phase is Phase.ALARM:
-            self._enter(Phase.ALARM_RESET, now, self.reason)
+        if self.phase is MachinePhase.ALARM:
+            self._enter(MachinePhase.ALARM_RESET, now, self.reason)
             self._marker = 0
             return ""
         if self._misplaced:
-            self._enter(Phase.UNHOMED, now)
+            self._enter(MachinePhase.UNHOMED, now)
             return ""
-        if self.phase in (Phase.HOLDING, Phase.RESETTING, Phase.LIFTING):
+        if self.phase in (MachinePhase.HOLDING, MachinePhase.RESETTING, MachinePhase.LIFTING):
             return Message("stop.stop_not_complete_yet")
         return Message("stop.nothing_reset_driver", state_text=as_message(self.state_text))
 
     @property
     def moves_or_presses(self) -> bool:
         """Whether the machine moves or presses, so that only a stop ends it."""
-        return self.phase in (Phase.MOVING, Phase.HOMING) or self._rests_extended()
+        return self.phase in (MachinePhase.MOVING, MachinePhase.HOMING) or self._rests_extended()
 
     # --- the stop sequence -------------------------------------------------------------------------------------------
 
     def _halt(self, reason: Why, now: float, *, hold_written: bool = False, lift_again: bool = False) -> None:
         """Begin the stop sequence: hold, wait for the hold, reset, lift; the goal is answered now."""
         self._finish(Outcome.ABORTED, reason, now)
-        if self.phase in (Phase.STOPPED, Phase.HOLDING, Phase.RESETTING, Phase.LIFTING):
+        if self.phase in (MachinePhase.STOPPED, MachinePhase.HOLDING, MachinePhase.RESETTING, MachinePhase.LIFTING):
             # The first reason explains the stop; a failed retreat is not repeated.
-            reason, self._lift = self.reason, self._lift and (lift_again or self.phase is not Phase.LIFTING)
+            reason, self._lift = self.reason, self._lift and (lift_again or self.phase is not MachinePhase.LIFTING)
         else:
             self._lift, self._lift_barred = self.config.lift_on_stop, False
             self._lifts_left = LIFTS
         self._latched = reason
-        if self.phase in (Phase.HOLDING, Phase.RESETTING):
+        if self.phase in (MachinePhase.HOLDING, MachinePhase.RESETTING):
             return
-        if self.phase is Phase.HOMING:
+        if self.phase is MachinePhase.HOMING:
             # GRBL does not hold in a homing cycle. A reset ends the cycle with ALARM:6; no known position is lost.
             self._forget_position()
-            self._enter(Phase.RESETTING, now, reason)
+            self._enter(MachinePhase.RESETTING, now, reason)
             self.session.soft_reset(now)
             return
         self._hold_doubted, self._hold_seen_at = self._resuming, None
@@ -127,7 +127,7 @@ class Stopping(BoardSettings):
             self.session.realtime(HOLD)
         self._hold_sent = now
         self.session.paused = True
-        self._enter(Phase.HOLDING, now, reason)
+        self._enter(MachinePhase.HOLDING, now, reason)
 
     def _tick_holding(self, age: float, now: float) -> None:
         if age > self.config.hold_timeout_s:
@@ -140,7 +140,7 @@ class Stopping(BoardSettings):
 
     def _reset_after_hold(self, now: float) -> None:
         self._moved_mm = None
-        self._enter(Phase.RESETTING, now, self.reason)
+        self._enter(MachinePhase.RESETTING, now, self.reason)
         self.session.soft_reset(now)
 
     def _to_alarm(self, text: str, now: float, *, code: int = 0) -> None:
@@ -155,14 +155,14 @@ class Stopping(BoardSettings):
             self._released_at = now + self.config.stylus.dwell_s
         self.session.last_report_at = now  # In a homing cycle the alarm is the board's first message.
         self._latched = ""  # The alarm itself is latched, and the same call resets it.
-        if self.phase is Phase.ALARM_RESET:  # an emergency stop is still pressed: no banner comes
+        if self.phase is MachinePhase.ALARM_RESET:  # an emergency stop is still pressed: no banner comes
             self.session.awaiting_banner = False
-        if self.phase is not Phase.ALARM:
-            self._enter(Phase.ALARM, now, text)
+        if self.phase is not MachinePhase.ALARM:
+            self._enter(MachinePhase.ALARM, now, text)
 
-    def _after_reset(self, report: Report, now: float) -> None:
+    def _after_reset(self, report: StatusReport, now: float) -> None:
         if not (self._lift and report.state == "Idle" and self.homed and self._stylus_is_down()):
-            self._enter(Phase.STOPPED, now, self.reason)
+            self._enter(MachinePhase.STOPPED, now, self.reason)
             return
         self._begin_lift(report.mpos_mm, self.reason, now)
 
@@ -185,7 +185,7 @@ class Stopping(BoardSettings):
         return True
 
     def _begin_lift(self, from_mm: tuple[float, ...] | None, reason: Why, now: float) -> None:
-        self._enter(Phase.LIFTING, now, reason)
+        self._enter(MachinePhase.LIFTING, now, reason)
         self._marker_done = False
         self._lift_from_mm = from_mm
         config = self.config
@@ -201,7 +201,7 @@ class Stopping(BoardSettings):
 
     # --- reports during a stop ---------------------------------------------------------------------------------------
 
-    def _report_holding(self, report: Report, now: float) -> None:
+    def _report_holding(self, report: StatusReport, now: float) -> None:
         if report.state == "Hold" and self._is_old_hold(now):
             # A reset now could hit a moving board and lose its position.
             self.session.poll_now()
@@ -221,7 +221,7 @@ class Stopping(BoardSettings):
         self._hold_seen_at = now if self._hold_seen_at is None else self._hold_seen_at
         return now - self._hold_seen_at < OLD_HOLDS_S
 
-    def _report_resetting(self, report: Report, now: float) -> None:
+    def _report_resetting(self, report: StatusReport, now: float) -> None:
         if self.session.awaiting_banner:
             return
         if report.state == "Hold" or _at_door(report, 0):
@@ -229,7 +229,7 @@ class Stopping(BoardSettings):
         elif report.state == "Door":
             # The door is still open: a reset does not leave this state. Nothing may move, even if it closes later.
             self._lift, self._lift_barred = False, True
-            self._enter(Phase.STOPPED, now, self.reason)
+            self._enter(MachinePhase.STOPPED, now, self.reason)
         elif report.state == "Alarm" and self.homed:
             self._to_alarm(Message("stop.reset_left_board_locked_position"), now)
         elif self.homed and self._stood_mm and report.mpos_mm and elsewhere(report.mpos_mm, self._stood_mm):
@@ -243,22 +243,22 @@ class Stopping(BoardSettings):
         elif report.state in ("Idle", "Alarm"):
             self._after_reset(report, now)
 
-    def _report_resting(self, report: Report, now: float) -> None:
+    def _report_resting(self, report: StatusReport, now: float) -> None:
         if report.state == "Idle" or (report.state == "Alarm" and not self.homed):
             return
         if report.state == "Alarm":
             self._to_alarm(LOCKED, now)
-        elif self.phase is Phase.STOPPED and report.state == "Door" and report.substate != 0:
+        elif self.phase is MachinePhase.STOPPED and report.state == "Door" and report.substate != 0:
             limp = self._stylus.powerless(self.config.stylus.kind)  # an open door ends a servo's pulses
             if limp is not self._stylus:
                 self._stylus = limp
-                self._enter(Phase.STOPPED, now, self.reason)
-        elif self.phase is Phase.STOPPED and report.state in ("Hold", "Door"):
+                self._enter(MachinePhase.STOPPED, now, self.reason)
+        elif self.phase is MachinePhase.STOPPED and report.state in ("Hold", "Door"):
             self._halt(self.reason, now)
         else:
             self._halt(Message("stop.board_without_command_here", state_text=report.state_text), now)
 
-    def _report_lifting(self, report: Report, now: float) -> None:
+    def _report_lifting(self, report: StatusReport, now: float) -> None:
         if report.state == "Alarm":
             self._to_alarm(LOCKED, now)
         elif self._lifts_wrongly(report) and self._lifts_left:
@@ -267,17 +267,17 @@ class Stopping(BoardSettings):
             self._halt(self.reason, now, lift_again=True)
         elif report.state == "Idle" and self._marker_done and report.mpos_mm and self._extended_by_axis():
             text = Message("stop.stylus_not_lifted_still_extended", extension_mm=1000.0 * (self._extension_m or 0.0))
-            self._enter(Phase.STOPPED, now, self.reason, not_lifted=text)
+            self._enter(MachinePhase.STOPPED, now, self.reason, not_lifted=text)
         elif report.state == "Idle" and self._marker_done:
             self.session.executed_all()
             self._stylus = Stylus.lifted(self.config.stylus.kind)
-            self._enter(Phase.STOPPED, now, self.reason, not_lifted="")
+            self._enter(MachinePhase.STOPPED, now, self.reason, not_lifted="")
         elif report.state in ("Hold", "Door"):
             # A stop's hold that was written just before the retreat began must not leave the stylus down.
             self._lift_barred = report.state == "Door"
             self._halt(self.reason, now, lift_again=report.state == "Hold")
 
-    def _lifts_wrongly(self, report: Report) -> bool:
+    def _lifts_wrongly(self, report: StatusReport) -> bool:
         """Whether x or y moves, or the stylus goes down."""
         start, place = self._lift_from_mm, report.mpos_mm
         if start is None or place is None or self.config.stylus.kind != "z_axis":
@@ -289,7 +289,7 @@ class Stopping(BoardSettings):
         return self.config.stylus.kind == "z_axis" and (self._extension_m or 0.0) > STYLUS_DOWN_M
 
 
-def _at_door(report: Report, substate: int) -> bool:
+def _at_door(report: StatusReport, substate: int) -> bool:
     return report.state == "Door" and report.substate == substate
 
 

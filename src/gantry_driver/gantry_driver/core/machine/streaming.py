@@ -11,7 +11,7 @@ from itertools import chain
 from gantry_driver.core.configuration.machine_config import DriverConfig
 from gantry_driver.core.envelope.keeper import Envelope
 from gantry_driver.core.envelope.plane import PanelPlane
-from gantry_driver.core.grbl.grbl_messages import Dialect, Report
+from gantry_driver.core.grbl.grbl_messages import Dialect, StatusReport
 from gantry_driver.core.grbl.lines import SYNCHRONISE
 from gantry_driver.core.grbl.session import HOLD, RESUME
 from gantry_driver.core.grbl.trajectory_gcode import (
@@ -28,10 +28,10 @@ from gantry_driver.core.machine.stopping import LOCKED
 from gantry_driver.core.program.gcode_check import Bounds, CheckedLine, ProgramChecker
 from gantry_driver.core.program.gcode_words import GcodeError
 from gantry_driver.core.program.marks import LineMarks
-from gantry_driver.core.states.machine_states import Note, Phase
+from gantry_driver.core.states.machine_states import MachinePhase, Note
 from gantry_driver.core.states.reasons import Reason, Why
 from gantry_driver.core.wire.goal import Goal
-from gantry_driver.core.wire.stages import DOWN_MM, LINE_S, SURPLUS_S, Send, depth_mm, make_script
+from gantry_driver.core.wire.stages import DOWN_MM, LINE_S, SURPLUS_S, SendLine, depth_mm, make_script
 from gantry_driver.core.wire.watch import PathWatch
 from icu_common.core.admission.rivals import RivalTopics
 from icu_common.core.goals.intent import Intent
@@ -43,7 +43,16 @@ from icu_common.core.reasons.state_text import as_message, because, split_state
 
 PROGRAM_MODES = ("G49", "G0G17G21G40G54G90G94")
 """Modes in force at a program's first line."""
-_RESTS = frozenset((Phase.CLOSED, Phase.MISMATCH, Phase.UNHOMED, Phase.IDLE, Phase.STOPPED, Phase.ALARM))
+_RESTS = frozenset(
+    (
+        MachinePhase.CLOSED,
+        MachinePhase.MISMATCH,
+        MachinePhase.UNHOMED,
+        MachinePhase.IDLE,
+        MachinePhase.STOPPED,
+        MachinePhase.ALARM,
+    )
+)
 
 
 class Streaming(Proving):
@@ -95,23 +104,23 @@ class Streaming(Proving):
 
     def pause(self, now: float) -> str:
         """Pause a motion with a feed hold; buffered lines stay, as does the stylus, up to ``max_rest_extended_s``."""
-        if self.phase is not Phase.MOVING or self._pausing:
+        if self.phase is not MachinePhase.MOVING or self._pausing:
             return Message("stream.nothing_pause_driver", state_text=as_message(self.state_text))
         self.session.paused = self._pausing = True
         self._resuming = False
         self._hold_sent = self._paused_at = now
         self.session.realtime(HOLD)
-        self._enter(Phase.MOVING, now, "paused")
+        self._enter(MachinePhase.MOVING, now, "paused")
         return ""
 
     @property
     def paused(self) -> bool:
         """Whether a motion is paused, or its pause has begun."""
-        return self.phase is Phase.MOVING and self._pausing
+        return self.phase is MachinePhase.MOVING and self._pausing
 
     def resume(self, now: float) -> str:
         """Resume a paused motion."""
-        if self.phase is not Phase.MOVING or not self._pausing:
+        if self.phase is not MachinePhase.MOVING or not self._pausing:
             return Message("stream.nothing_resume_driver", state_text=as_message(self.state_text))
         if refusal := self._permission(now):
             return refusal
@@ -119,7 +128,7 @@ class Streaming(Proving):
         self.session.paused = False
         assert self._goal is not None  # every motion has a goal
         self._goal.paused_s += now - self._paused_at
-        self._enter(Phase.MOVING, now)
+        self._enter(MachinePhase.MOVING, now)
         return ""
 
     def run(
@@ -188,7 +197,7 @@ class Streaming(Proving):
             limit_s=script.limit_s,
             touching=any(stage.touching or stage.frame for stage in script.stages),
         )
-        goal.stages[0].head[:0] = [Send(text=line) for line in self._limp_lift()]
+        goal.stages[0].head[:0] = [SendLine(text=line) for line in self._limp_lift()]
         self._next_stage(goal, now)
         return self._start(goal, now)
 
@@ -239,14 +248,14 @@ class Streaming(Proving):
         text = Message("stream.program_lines_about", checked=len(checked), seconds_s=checker.seconds)
         end = reading_m(checker.position_mm, False, self.config)
         # The checker starts with these modes; the board may have been left in others.
-        modes = (Send(text=mode) for mode in (*self._limp_lift(), *PROGRAM_MODES))
-        lines = (Send(text=line.text, dwell_s=line.seconds, along_mm=line.along_mm) for line in checked)
+        modes = (SendLine(text=mode) for mode in (*self._limp_lift(), *PROGRAM_MODES))
+        lines = (SendLine(text=line.text, dwell_s=line.seconds, along_mm=line.along_mm) for line in checked)
         goal = Goal(
             goal_id=goal_id,
             text=text,
             end_m=end,
             started=now,
-            items=chain(modes, lines, [Send(text=SYNCHRONISE)]),
+            items=chain(modes, lines, [SendLine(text=SYNCHRONISE)]),
             limit_s=2.0 * (checker.seconds + LINE_S * len(checked)) + SURPLUS_S,
             touching=self._axes == 3 and max(depth_mm(p, self.config) for p in checker.path.points) > DOWN_MM,
             watch=PathWatch(checker.path, now, self.config.machine.acceleration_mm_s2),
@@ -263,7 +272,7 @@ class Streaming(Proving):
     # --- permission to start -----------------------------------------------------------------------------------------
 
     def _goal_refusal(self, now: float) -> str:
-        if self.phase is not Phase.IDLE:
+        if self.phase is not MachinePhase.IDLE:
             return Message("homing.driver", state_text=as_message(self.state_text))
         return self._permission(now)
 
@@ -295,10 +304,10 @@ class Streaming(Proving):
     def _start(self, goal: Goal, now: float) -> GoalResult:
         self._goal = goal
         accepted = self._answer(GoalResult(goal_id=goal.goal_id, goal=goal.text, outcome=Outcome.ACCEPTED))
-        self._enter(Phase.MOVING, now)
+        self._enter(MachinePhase.MOVING, now)
         return accepted
 
-    def _report_moving(self, report: Report, now: float) -> None:
+    def _report_moving(self, report: StatusReport, now: float) -> None:
         goal = self._goal
         if report.state == "Alarm":
             self._to_alarm(LOCKED, now)
@@ -309,7 +318,7 @@ class Streaming(Proving):
         elif report.state == "Idle" and goal is not None and self._stage_sent(goal):
             self._at_rest(goal, report, now)
 
-    def _report_paused(self, report: Report, now: float) -> None:
+    def _report_paused(self, report: StatusReport, now: float) -> None:
         """Repeat the hold until a report shows it; resume only from a complete hold: before, GRBL discards ``~``."""
         if self._pausing:
             if report.state != "Hold" and now - self._hold_sent >= HOLD_REPEAT_S:

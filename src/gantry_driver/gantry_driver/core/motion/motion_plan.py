@@ -116,7 +116,7 @@ def travel(
     aim, only the stylus moves, as the backlash is taken up already.
     """
     check_reach([*aim_xy, extension_m], config)
-    steps = _Steps(start)
+    steps = _PathPoints(start)
     steps.to([*start[:2], 0.0], config.stylus_speed_m_s)
     if entered_xy is not None and is_at(start[:2], entered_xy) and np.abs(aim_xy - entered_xy).max() <= STANDSTILL_M:
         steps.to([*start[:2], extension_m], config.stylus_speed_m_s)
@@ -130,7 +130,7 @@ def travel(
 def shift(start: Array, aim_xy: Array, config: MotionConfig) -> Path:
     """Correct to ``aim_xy`` (2,) at the current height, through the approach point."""
     check_reach([*aim_xy, start[2]], config)
-    steps = _Steps(start)
+    steps = _PathPoints(start)
     steps.to([*_approach_point(aim_xy, config), start[2]], config.travel_speed_m_s)
     steps.to([*aim_xy, start[2]], config.travel_speed_m_s)
     return steps.path(config)
@@ -138,7 +138,7 @@ def shift(start: Array, aim_xy: Array, config: MotionConfig) -> Path:
 
 def plunge(start: Array, extension_m: float, config: MotionConfig) -> Path:
     """Lower into contact, slowly where contact is possible."""
-    steps = _Steps(start)
+    steps = _PathPoints(start)
     if not config.stylus_two_positions and extension_m - config.touch_way_m > start[2]:
         steps.to([*start[:2], extension_m - config.touch_way_m], config.stylus_speed_m_s)
     steps.to([*start[:2], extension_m], config.touch_speed_m_s)
@@ -148,7 +148,7 @@ def plunge(start: Array, extension_m: float, config: MotionConfig) -> Path:
 def plunge_twice(start: Array, extension_m: float, between_m: float, config: MotionConfig) -> Path:
     """Lower into contact, rise by ``between_m``, and lower again, without a pause."""
     first = plunge(start, extension_m, config)
-    steps = _Steps(np.array([*start[:2], extension_m]))
+    steps = _PathPoints(np.array([*start[:2], extension_m]))
     steps.to([*start[:2], extension_m - between_m], config.stylus_speed_m_s)
     steps.to([*start[:2], extension_m], config.stylus_speed_m_s)
     second = steps.path(config)
@@ -169,7 +169,7 @@ def aside(start: Array, middle: Array, by_m: float, config: MotionConfig) -> Pat
         outward = 1.0 if 2 * x > config.x_min_m + config.x_max_m else -1.0
         side = outward if config.x_min_m <= x + outward * by_m <= config.x_max_m else -outward
         place = x + side * by_m, y
-    steps = _Steps(start)
+    steps = _PathPoints(start)
     steps.to([*start[:2], 0.0], config.stylus_speed_m_s)
     steps.to([*place, 0.0], config.travel_speed_m_s)
     return steps.path(config)
@@ -177,7 +177,7 @@ def aside(start: Array, middle: Array, by_m: float, config: MotionConfig) -> Pat
 
 def follow(start: Array, points: Array, speed_m_s: float, config: MotionConfig) -> Path:
     """Follow (N, 3) readings in contact."""
-    steps = _Steps(start)
+    steps = _PathPoints(start)
     for point in points:
         steps.to(point, speed_m_s)
     return steps.path(config)
@@ -185,7 +185,7 @@ def follow(start: Array, points: Array, speed_m_s: float, config: MotionConfig) 
 
 def lift(start: Array, config: MotionConfig) -> Path:
     """Retract the stylus at its position, even where the limits forbid that position."""
-    steps = _Steps(start)
+    steps = _PathPoints(start)
     steps.to([*start[:2], 0.0], config.stylus_speed_m_s)
     return steps.unchecked()
 
@@ -196,7 +196,7 @@ def _approach_point(aim_xy: Array, config: MotionConfig) -> Array:
     return result
 
 
-class _Steps:
+class _PathPoints:
     """Collects points, without those that cause no motion."""
 
     def __init__(self, start: Array) -> None:

@@ -19,7 +19,7 @@ from icu_common.core.panel.panel_layout import Control, Dimple
 from icu_common.core.reasons.message import Message, quoted
 
 
-class Refused(ValueError):
+class TargetRefused(ValueError):
     """The goal cannot be carried out; the message names the value and the limit.
 
     ``delay`` is given if only lateness, or a finding about the cameras or the layout, is the cause.
@@ -131,7 +131,7 @@ class Scene:
 
         Raises
         ------
-        Refused
+        TargetRefused
             If there is none; the message names the most similar ones.
         """
         for control in self.panel.controls:
@@ -139,7 +139,7 @@ class Scene:
                 return control
         names = [c.name for c in self.panel.controls]
         near = difflib.get_close_matches(name.upper(), names, n=3, cutoff=0.4) or names[:5]
-        raise Refused(Message("panel.unknown_control_nearest", name=quoted(name), near=", ".join(near)))
+        raise TargetRefused(Message("panel.unknown_control_nearest", name=quoted(name), near=", ".join(near)))
 
     def first_hit(self, origin: Array, direction: Array) -> tuple[Array, PanelControl | None]:
         """Return the surface point (3,) that a ray in panel_link meets first, and the control it belongs to.
@@ -148,11 +148,11 @@ class Scene:
 
         Raises
         ------
-        Refused
+        TargetRefused
             If the ray does not meet the panel.
         """
         if not (origin[2] > 0 and direction[2] < 0):
-            raise Refused(Message("panel.line_sight_not_meet_panel"))
+            raise TargetRefused(Message("panel.line_sight_not_meet_panel"))
 
         def at(height: float) -> Array:
             point: Array = origin + (height - origin[2]) / direction[2] * direction

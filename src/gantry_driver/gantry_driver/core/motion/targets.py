@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from gantry_driver.core.motion.scene import PanelControl, Refused, Scene
+from gantry_driver.core.motion.scene import PanelControl, Scene, TargetRefused
 from icu_common.core.configuration.config import Config, setting
 from icu_common.core.geometry.frames import BASE, CAMERA_LEFT, PANEL
 from icu_common.core.geometry.geometry import Array
@@ -128,29 +128,29 @@ def resolve(
 
     Raises
     ------
-    Refused
+    TargetRefused
         If the control is unknown or must not be touched, or the gesture does not suit it. Also if the point is not on
         the panel, the panel is tilted too far, or a raised neighbour is in the way.
     """
     base_from_panel = scene.base_from_panel
     tilt = math.degrees(math.acos(max(-1.0, min(1.0, float(base_from_panel.rotation[2, 2])))))
     if tilt > config.max_tilt_deg:
-        raise Refused(
+        raise TargetRefused(
             Message("target.panel_leans_degrees_most_allowed", tilt_deg=tilt, max_tilt_deg=config.max_tilt_deg)
         )
     point, control = _surface(gesture.target, scene)
     if control is not None and control.kind in UNTOUCHABLE:
-        raise Refused(Message("target.connectors_never_pressed", control=control.name, kind=control.kind))
+        raise TargetRefused(Message("target.connectors_never_pressed", control=control.name, kind=control.kind))
     if gesture.kind in TURNING:
         if control is None:
-            raise Refused(Message("target.only_knob_can_turned_no"))
+            raise TargetRefused(Message("target.only_knob_can_turned_no"))
         if control.kind not in TURNABLE:
-            raise Refused(Message("target.only_knob_can_turned", control=control.name, kind=control.kind))
+            raise TargetRefused(Message("target.only_knob_can_turned", control=control.name, kind=control.kind))
         way = gesture.argument if math.isnan(turn_deg) else turn_deg
         if control.dimple is None:
             contacts = turn_points(control, way, config)
         elif math.isnan(knob_deg):
-            raise Refused(Message("target.turned_dimple_found_marker_turn", control=control.name))
+            raise TargetRefused(Message("target.turned_dimple_found_marker_turn", control=control.name))
         else:
             contacts = dimple_points(control, control.dimple, knob_deg, way, config)
     elif gesture.to is not None:
@@ -159,7 +159,7 @@ def resolve(
         contacts = point[np.newaxis]
     low, high = scene.panel.extent
     if not ((low <= point[:2]) & (point[:2] <= high)).all():
-        raise Refused(
+        raise TargetRefused(
             Message(
                 "target.point_lies_outside_panel",
                 point=point[0],
@@ -209,11 +209,13 @@ def with_two_positions(touch: Touch, down_m: float) -> Touch:
 
     Raises
     ------
-    Refused
+    TargetRefused
         If the touch needs a longer stylus.
     """
     if -touch.touch_z > down_m:
-        raise Refused(Message("target.touch_needs_extension_stylus_reaches", touch_z_m=-touch.touch_z, down_m=down_m))
+        raise TargetRefused(
+            Message("target.touch_needs_extension_stylus_reaches", touch_z_m=-touch.touch_z, down_m=down_m)
+        )
     arc = touch.arc.copy()
     arc[:, 2] = -down_m
     return dataclasses.replace(touch, hover_z=0.0, touch_z=-down_m, arc=arc)
@@ -239,7 +241,7 @@ def dimple_points(
 
     Raises
     ------
-    Refused
+    TargetRefused
         If the ball does not reach the bottom, or has too much play there for looks to correct.
     """
     ball, depth = config.ball_radius_m, dimple.depth_mm / 1000
@@ -247,7 +249,7 @@ def dimple_points(
     wide = ball if depth >= ball else math.sqrt(ball**2 - (ball - depth) ** 2)
     play = dimple.diameter_mm / 2000 - wide
     if play <= 0:
-        raise Refused(
+        raise TargetRefused(
             Message(
                 "target.dimple_wide_stylus_needs_more",
                 control=control.name,
@@ -259,7 +261,7 @@ def dimple_points(
     radius = math.hypot(x, y)
     play_deg = math.degrees(2 * math.asin(min(play / (2 * radius), 1.0)))
     if play_deg > MOST_BIAS_DEG:
-        raise Refused(
+        raise TargetRefused(
             Message(
                 "target.stylus_degrees_play_dimple_most",
                 play_deg=play_deg,
@@ -287,11 +289,11 @@ def _drag_points(start: Array, control: PanelControl | None, to: Point, scene: S
     """Return (N, 3) surface points of a drag, the start first, no farther apart than DRAG_STEP_M."""
     if control is None or control.kind not in DRAGGABLE:
         name = Message("target.bare_face") if control is None else f"{control.name}, a {control.kind}"
-        raise Refused(Message("target.drag_begins_only_touch_area", name=name))
+        raise TargetRefused(Message("target.drag_begins_only_touch_area", name=name))
     end, other = _surface(to, scene)
     if other is not control:
         name = Message("target.bare_face") if other is None else other.name
-        raise Refused(Message("target.drag_begins_ends_must_stay", control=control.name, name=name))
+        raise TargetRefused(Message("target.drag_begins_ends_must_stay", control=control.name, name=name))
     steps = max(1, math.ceil(float(np.linalg.norm(end - start)) / DRAG_STEP_M))
     share = np.linspace(0.0, 1.0, steps + 1)[:, np.newaxis]
     return np.asarray(start + share * (end - start))
@@ -321,13 +323,13 @@ def _surface(target: str | Point, scene: Scene) -> tuple[Array, PanelControl | N
         width, height = scene.camera.size
         # Pixel centres are whole numbers, so the image extends half a pixel further.
         if not (-0.5 <= target.x <= width - 0.5 and -0.5 <= target.y <= height - 0.5):
-            raise Refused(
+            raise TargetRefused(
                 Message("target.pixel_lies_outside_picture", x=target.x, y=target.y, width=width, height=height)
             )
         ray = scene.camera.rays([[target.x, target.y]])[0]
         panel_from_camera = scene.camera_from_panel.inverse()
         return scene.first_hit(panel_from_camera.translation, panel_from_camera.rotation @ ray)
-    raise Refused(Message("goal.frame_none", frame=quoted(target.frame), frames=", ".join(FRAMES)))
+    raise TargetRefused(Message("goal.frame_none", frame=quoted(target.frame), frames=", ".join(FRAMES)))
 
 
 def _check_sides(
@@ -340,7 +342,7 @@ def _check_sides(
             continue
         gap = other.gap(contact[:2])
         if gap < needed:
-            raise Refused(
+            raise TargetRefused(
                 Message(
                     "target.point_beside_high_needed",
                     gap_mm=1000 * gap,

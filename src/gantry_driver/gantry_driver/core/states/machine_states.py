@@ -8,7 +8,7 @@ from enum import Enum
 from icu_common.core.goals.results import GoalResult
 
 
-class Phase(Enum):
+class MachinePhase(Enum):
     """Phase of the driver; the value is the published state, but see :attr:`Machine.state`."""
 
     __hash__ = object.__hash__  # members are singletons; Enum's own hash is several times slower
@@ -35,10 +35,10 @@ class Phase(Enum):
         return self.value[0]
 
 
-_P = Phase
+_P = MachinePhase
 OPEN_ENDS = frozenset({_P.CLOSED, _P.SYNCHRONISE, _P.IDENTIFY, _P.ALARM})
 """Phases that every phase may enter: the port disappears, the board resets itself, an alarm."""
-TRANSITIONS: dict[Phase, frozenset[Phase]] = {
+TRANSITIONS: dict[MachinePhase, frozenset[MachinePhase]] = {
     _P.CLOSED: frozenset({_P.SYNCHRONISE}),
     _P.SYNCHRONISE: frozenset(),
     _P.IDENTIFY: frozenset({_P.SETTINGS, _P.MISMATCH}),

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 from gantry_driver.core.program.marks import LineMarks
-from gantry_driver.core.wire.stages import Confirm, Item, Stage
+from gantry_driver.core.wire.stages import Confirm, Item, MotionStage
 from gantry_driver.core.wire.watch import Deviation, PathWatch
 
 Reading = tuple[float, float, float]
@@ -41,8 +41,8 @@ class Goal:
     end_m: Reading
     started: float
     items: Iterator[Item]
-    stages: deque[Stage] = field(default_factory=deque)
-    stage: Stage = field(default_factory=Stage)
+    stages: deque[MotionStage] = field(default_factory=deque)
+    stage: MotionStage = field(default_factory=MotionStage)
     origin_mm: Reading | None = None
     limit_s: float = math.inf
     touching: bool = False

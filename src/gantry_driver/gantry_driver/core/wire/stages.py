@@ -22,13 +22,13 @@ from dataclasses import dataclass, field
 
 from gantry_driver.core.configuration.machine_config import DriverConfig
 from gantry_driver.core.grbl.lines import SYNCHRONISE, plain
-from gantry_driver.core.grbl.modes import ASK_MODES, Modes
+from gantry_driver.core.grbl.modes import ASK_MODES, RequiredModes
 from gantry_driver.core.grbl.trajectory_gcode import (
     MODES,
     SAME_FEED,
-    Motion,
-    Move,
-    Order,
+    StraightMove,
+    StylusOrder,
+    TrajectoryMotion,
     stylus_dwell,
     stylus_lines,
 )
@@ -51,7 +51,7 @@ _SAME_MM = 0.01
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Send:
+class SendLine:
     """A line, the maximum duration of its dwell in seconds, and the distance along a program's path at its end."""
 
     text: str
@@ -64,15 +64,15 @@ class Confirm:
     """Lines after which ``$G`` must report ``modes``; the driver sends no further line before it does."""
 
     lines: tuple[str, ...]
-    modes: Modes
+    modes: RequiredModes
 
 
-Item = Send | Confirm
-Part = Move | Order
+Item = SendLine | Confirm
+Part = StraightMove | StylusOrder
 
 
 @dataclass(slots=True, kw_only=True)
-class Stage:
+class MotionStage:
     """A part of a goal that ends at rest.
 
     Parameters
@@ -100,8 +100,8 @@ class Stage:
     frame: bool = False
 
     @property
-    def moves(self) -> list[Move]:
-        return [part for part in self.parts if isinstance(part, Move)]
+    def moves(self) -> list[StraightMove]:
+        return [part for part in self.parts if isinstance(part, StraightMove)]
 
     def segments(self) -> list[Segment]:
         """Return the path with which reports are compared."""
@@ -120,13 +120,13 @@ class Stage:
         yield from self.head
         inside = offset_mm if self.frame else None
         for part in self.parts:
-            if isinstance(part, Order):
+            if isinstance(part, StylusOrder):
                 yield from _stylus_items(part, config)
                 continue
             line, new = move_words(part, inside), not same_feed(part.feed, feed)
             if new and self.touching:
                 yield confirm_feed(part.feed)
-            yield Send(text=f"F{part.feed}{line}" if new and not self.touching else line)
+            yield SendLine(text=f"F{part.feed}{line}" if new and not self.touching else line)
             feed = part.feed if new else feed
         yield from self.tail
 
@@ -135,7 +135,7 @@ class Stage:
 class Script:
     """Stages of a motion, and its maximum duration in seconds without pauses."""
 
-    stages: list[Stage]
+    stages: list[MotionStage]
     origin_mm: Vector | None
     """Frame in which the path is written, None outside a frame."""
     limit_s: float
@@ -146,7 +146,7 @@ class Script:
         feed = ""
         for stage in self.stages:
             for item in stage.items(self.origin_mm, feed, config):
-                new = [item.text] if isinstance(item, Send) else [*item.lines, ASK_MODES]
+                new = [item.text] if isinstance(item, SendLine) else [*item.lines, ASK_MODES]
                 feed = next((match[1] for text in new if (match := FEED_WORD.match(text))), feed)
                 lines += new
         return lines
@@ -157,7 +157,7 @@ def same_feed(feed: str, before: str) -> bool:
     return bool(before) and abs(float(feed) - float(before)) <= SAME_FEED * float(before)
 
 
-def move_words(move: Move, offset_mm: Sequence[float] | None = None) -> str:
+def move_words(move: StraightMove, offset_mm: Sequence[float] | None = None) -> str:
     """Return the line of a move, in machine coordinates or in a frame with this work offset."""
     words = []
     for axis, letter in enumerate("XYZ"):
@@ -174,7 +174,9 @@ def move_words(move: Move, offset_mm: Sequence[float] | None = None) -> str:
 
 def confirm_feed(feed: str) -> Confirm:
     """Return the order that only sets a feed."""
-    return Confirm(lines=(f"F{feed}",), modes=Modes(words=frozenset({"G21", "G90", "G94"}), feed_mm_min=float(feed)))
+    return Confirm(
+        lines=(f"F{feed}",), modes=RequiredModes(words=frozenset({"G21", "G90", "G94"}), feed_mm_min=float(feed))
+    )
 
 
 def frame_origin(deepest_mm: float, config: DriverConfig) -> Vector:
@@ -185,7 +187,7 @@ def frame_origin(deepest_mm: float, config: DriverConfig) -> Vector:
 
 
 def make_script(
-    motion: Motion, config: DriverConfig, *, framed: bool, frame_mm: Sequence[float] | None, feed: str = ""
+    motion: TrajectoryMotion, config: DriverConfig, *, framed: bool, frame_mm: Sequence[float] | None, feed: str = ""
 ) -> Script:
     """Return the stages of a motion.
 
@@ -199,7 +201,7 @@ def make_script(
     z_axis = config.stylus.kind == "z_axis"
     framed = framed and config.machine.sign(2) < 0.0
     stages = _z_stages(motion, config, framed) if z_axis else _order_stages(motion)
-    stages = stages or [Stage(start_mm=motion.start_mm, end_mm=motion.start_mm)]
+    stages = stages or [MotionStage(start_mm=motion.start_mm, end_mm=motion.start_mm)]
     first = next((n for n, stage in enumerate(stages) if stage.touching), None)
     origin = None
     if z_axis and first is not None:
@@ -208,15 +210,15 @@ def make_script(
         origin = frame_origin(deepest, config) if framed else None
         first = _prepare(stages, first, origin, frame_mm, config)
     if first != 0 and not stages[0].head:
-        stages[0].head.append(Send(text=MODES))
+        stages[0].head.append(SendLine(text=MODES))
     if origin is not None and depth_mm(motion.end_mm, config) <= DOWN_MM:
-        stages[-1].tail.append(Send(text=CLEAR_FRAME))
-    stages[-1].tail.append(Send(text=SYNCHRONISE))
+        stages[-1].tail.append(SendLine(text=CLEAR_FRAME))
+    stages[-1].tail.append(SendLine(text=SYNCHRONISE))
     return Script(stages=stages, origin_mm=origin, limit_s=_limit_s(motion, stages, config))
 
 
 def _prepare(
-    stages: list[Stage], first: int, origin: Vector | None, frame_mm: Sequence[float] | None, config: DriverConfig
+    stages: list[MotionStage], first: int, origin: Vector | None, frame_mm: Sequence[float] | None, config: DriverConfig
 ) -> int | None:
     """Order modes, feed and frame before the first stage that touches; return its number, None for a retreat only."""
     kept = origin is not None and frame_mm is not None and _same_frame(origin, frame_mm)
@@ -228,7 +230,7 @@ def _prepare(
             stage.touching = False  # no part of it goes down, so it needs no proof before it starts
         return None
     if first == 0:
-        stages.insert(0, Stage(start_mm=stages[0].start_mm, end_mm=stages[0].start_mm))
+        stages.insert(0, MotionStage(start_mm=stages[0].start_mm, end_mm=stages[0].start_mm))
         first = 1
     feed = stages[first].moves[0].feed
     words, here = f"F{feed}{MODES}", stages[first].start_mm
@@ -247,7 +249,7 @@ def _same_frame(origin: Sequence[float], frame_mm: Sequence[float]) -> bool:
     return all(abs(a - b) <= _SAME_MM for a, b in zip(origin, frame_mm))
 
 
-def _only_rises(stage: Stage) -> bool:
+def _only_rises(stage: MotionStage) -> bool:
     return all(m.start_mm[:2] == m.end_mm[:2] and m.end_mm[2] >= m.start_mm[2] for m in stage.moves)
 
 
@@ -256,22 +258,22 @@ def depth_mm(place: Sequence[float], config: DriverConfig) -> float:
     return (place[2] - config.machine.homed_mpos_mm()[2]) * config.machine.sign(2)
 
 
-def _direction(move: Move, config: DriverConfig) -> int:
+def _direction(move: StraightMove, config: DriverConfig) -> int:
     change = depth_mm(move.end_mm, config) - depth_mm(move.start_mm, config)
     return 0 if abs(change) < 5e-4 else (1 if change > 0 else -1)
 
 
-def _turns_back(one: Move, other: Move) -> bool:
+def _turns_back(one: StraightMove, other: StraightMove) -> bool:
     first, second = ([b - a for a, b in zip(m.start_mm, m.end_mm)] for m in (one, other))
     product = math.hypot(*first) * math.hypot(*second)
     return product > 0.0 and sum(a * b for a, b in zip(first, second)) < _TURNED_BACK * product
 
 
-def _z_stages(motion: Motion, config: DriverConfig, framed: bool) -> list[Stage]:
-    moves: list[Move] = []
+def _z_stages(motion: TrajectoryMotion, config: DriverConfig, framed: bool) -> list[MotionStage]:
+    moves: list[StraightMove] = []
     ends: set[int] = set()
     """Numbers of the moves at whose end a stage ends."""
-    run: list[Move] = []
+    run: list[StraightMove] = []
     for move in [*motion.moves, None]:
         if run and (move is None or _direction(move, config) != 1):
             if framed and all(m.start_mm[:2] == m.end_mm[:2] for m in run):
@@ -290,12 +292,12 @@ def _z_stages(motion: Motion, config: DriverConfig, framed: bool) -> list[Stage]
     for end in sorted(ends) if moves else ():
         part = moves[begin : end + 1]
         down = any(depth_mm(p, config) > DOWN_MM for m in part for p in (m.start_mm, m.end_mm))
-        stages.append(Stage(start_mm=part[0].start_mm, end_mm=part[-1].end_mm, parts=[*part], touching=down))
+        stages.append(MotionStage(start_mm=part[0].start_mm, end_mm=part[-1].end_mm, parts=[*part], touching=down))
         begin = end + 1
     return stages
 
 
-def _go_down(run: Sequence[Move], moves: list[Move], ends: set[int], config: DriverConfig) -> None:
+def _go_down(run: Sequence[StraightMove], moves: list[StraightMove], ends: set[int], config: DriverConfig) -> None:
     """Append the moves of one descent, divided at ``clearance_m`` above its end."""
     stop = depth_mm(run[-1].end_mm, config) - 1000.0 * config.clearance_m
     if stop - depth_mm(run[0].start_mm, config) < DOWN_MM:
@@ -313,39 +315,39 @@ def _go_down(run: Sequence[Move], moves: list[Move], ends: set[int], config: Dri
         moves.append(move)
 
 
-def _order_stages(motion: Motion) -> list[Stage]:
+def _order_stages(motion: TrajectoryMotion) -> list[MotionStage]:
     """Divide a path before each order to go down, and at each reversal."""
-    stages: list[Stage] = []
+    stages: list[MotionStage] = []
     here, parts = motion.start_mm, list[Part]()
     for number, part in enumerate(motion.parts):
         before = motion.parts[number - 1] if number else None
-        turn = isinstance(part, Move) and isinstance(before, Move) and _turns_back(before, part)
-        if parts and (turn or (isinstance(part, Order) and part.down)):
-            stages.append(Stage(start_mm=here, end_mm=_end(here, parts), parts=parts))
+        turn = isinstance(part, StraightMove) and isinstance(before, StraightMove) and _turns_back(before, part)
+        if parts and (turn or (isinstance(part, StylusOrder) and part.down)):
+            stages.append(MotionStage(start_mm=here, end_mm=_end(here, parts), parts=parts))
             here, parts = _end(here, parts), []
         parts.append(part)
     if parts:
-        stages.append(Stage(start_mm=here, end_mm=_end(here, parts), parts=parts))
+        stages.append(MotionStage(start_mm=here, end_mm=_end(here, parts), parts=parts))
     return stages
 
 
 def _end(here: Vector, parts: Sequence[Part]) -> Vector:
-    return next((part.end_mm for part in reversed(parts) if isinstance(part, Move)), here)
+    return next((part.end_mm for part in reversed(parts) if isinstance(part, StraightMove)), here)
 
 
-def _stylus_items(order: Order, config: DriverConfig) -> Iterator[Item]:
+def _stylus_items(order: StylusOrder, config: DriverConfig) -> Iterator[Item]:
     """Yield an order to a servo or solenoid, to be confirmed by ``$G``, and its dwell."""
     line, _ = stylus_lines(order.down, config)
     if config.stylus.kind == "servo_m3":
         spindle = config.stylus.servo_down if order.down else config.stylus.servo_up
-        modes = Modes(words=frozenset({"M3"}), spindle=spindle)
+        modes = RequiredModes(words=frozenset({"M3"}), spindle=spindle)
     else:
-        modes = Modes(words=frozenset({line}))
+        modes = RequiredModes(words=frozenset({line}))
     yield Confirm(lines=(line,), modes=modes)
-    yield Send(text=stylus_dwell(config), dwell_s=config.stylus.dwell_s)
+    yield SendLine(text=stylus_dwell(config), dwell_s=config.stylus.dwell_s)
 
 
-def _limit_s(motion: Motion, stages: Sequence[Stage], config: DriverConfig) -> float:
+def _limit_s(motion: TrajectoryMotion, stages: Sequence[MotionStage], config: DriverConfig) -> float:
     """Return twice the expected duration and a surplus.
 
     The expected duration includes the moves (at their feeds, or at an axis's rate if that is lower), the acceleration
@@ -354,7 +356,7 @@ def _limit_s(motion: Motion, stages: Sequence[Stage], config: DriverConfig) -> f
     orders = len(motion.parts) - len(motion.moves)
     seconds = STAGE_S * len(stages) + LINE_S * len(motion.parts) + config.stylus.dwell_s * orders
     slowest = min(config.machine.acceleration_mm_s2)
-    before: Move | None = None
+    before: StraightMove | None = None
     for move in motion.moves:
         change = [abs(b - a) for a, b in zip(move.start_mm, move.end_mm)]
         length = math.hypot(*change)
@@ -368,7 +370,7 @@ def _limit_s(motion: Motion, stages: Sequence[Stage], config: DriverConfig) -> f
     return 2.0 * seconds + SURPLUS_S
 
 
-def _corner(one: Move, other: Move) -> bool:
+def _corner(one: StraightMove, other: StraightMove) -> bool:
     first, second = ([b - a for a, b in zip(m.start_mm, m.end_mm)] for m in (one, other))
     product = math.hypot(*first) * math.hypot(*second)
     return product <= 0.0 or sum(a * b for a, b in zip(first, second)) < 0.99 * product

@@ -5,7 +5,7 @@ from __future__ import annotations
 from gantry_driver.mock.firmware import reports
 from gantry_driver.mock.firmware.execution import Execution
 from gantry_driver.mock.firmware.floats import one_byte, read_number
-from gantry_driver.mock.firmware.motion import Motion
+from gantry_driver.mock.firmware.motion import MotionPlanner
 from gantry_driver.mock.firmware.states import (
     ERROR_BAD_STATEMENT,
     ERROR_DOOR,
@@ -22,7 +22,7 @@ REPORT_INCHES = 13
 """Number of the setting for inches; even setting it to its old value adds the work offset to the next report."""
 
 
-class Board(Execution):
+class FirmwareBoard(Execution):
     """One controller board with its motors; :class:`.interrupts.Interrupts` has the public methods."""
 
     # ---- $ commands
@@ -57,7 +57,7 @@ class Board(Execution):
         elif rest[0] == "I":
             if rest == "I":
                 o = self.options
-                info = reports.build_info(self.eeprom, o.mist, Motion.capacity, o.rx_bytes, o.dialect)
+                info = reports.build_info(self.eeprom, o.mist, MotionPlanner.capacity, o.rx_bytes, o.dialect)
                 yield from self._print(info)
             elif rest[1] != "=":
                 return ERROR_BAD_STATEMENT

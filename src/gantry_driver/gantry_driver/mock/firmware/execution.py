@@ -30,7 +30,7 @@ from gantry_driver.mock.firmware.states import (
     Overrides,
     State,
 )
-from gantry_driver.mock.firmware.words import LETTER, GcodeError
+from gantry_driver.mock.firmware.words import LETTER, FirmwareGcodeError
 
 MAX_COUNT = 0xFFFF
 """Maximum count in dwells and arcs: the firmware counts with 16 bits, and drops higher bits."""
@@ -101,7 +101,7 @@ class Execution(RealTime):
             return (yield from self._jog_words(line[3:])) if len(line) > 2 else LETTER
         try:
             block = check_line(line, self.parser, self.eeprom.systems, mist=self.options.mist)
-        except GcodeError as error:
+        except FirmwareGcodeError as error:
             return error.number
         try:
             yield from self._execute(block)
@@ -114,7 +114,7 @@ class Execution(RealTime):
     def _jog_words(self, words: str) -> Answering:
         try:
             block = check_line(words, self.parser, self.eeprom.systems, jog=True)
-        except GcodeError as error:
+        except FirmwareGcodeError as error:
             return error.number
         if self.eeprom.flag(20) and self._beyond(block.target):
             return ERROR_TRAVEL

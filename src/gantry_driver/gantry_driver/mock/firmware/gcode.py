@@ -13,7 +13,7 @@ from enum import Enum, auto
 
 from gantry_driver.mock.firmware.floats import one_byte
 from gantry_driver.mock.firmware.parser_state import PLANE_AXES, CheckedBlock, ParserState
-from gantry_driver.mock.firmware.words import GcodeError, split_words
+from gantry_driver.mock.firmware.words import FirmwareGcodeError, split_words
 
 MM_PER_INCH = 25.4
 
@@ -49,7 +49,7 @@ class _Use(Enum):
     LENGTH = auto()
 
 
-class _Reader:
+class _BlockReader:
     """Collects the words of one line into a block, then checks them against each other."""
 
     def __init__(self, state: ParserState, places: Sequence[Sequence[float]], *, jog: bool, mist: bool) -> None:
@@ -76,19 +76,19 @@ class _Reader:
                 self._claim(self._read_g(whole, hundredths))
             elif letter == "M":
                 if hundredths > 0:
-                    raise GcodeError(NOT_INTEGER)
+                    raise FirmwareGcodeError(NOT_INTEGER)
                 self._claim(self._read_m(whole))
             else:
                 self._read_value(letter, value)
 
     def _claim(self, group: str) -> None:
         if group in self.groups:
-            raise GcodeError(MODAL_GROUP)
+            raise FirmwareGcodeError(MODAL_GROUP)
         self.groups.add(group)
 
     def _take_axes(self, use: _Use) -> None:
         if self.use is not _Use.NONE:
-            raise GcodeError(AXIS_CONFLICT)
+            raise FirmwareGcodeError(AXIS_CONFLICT)
         self.use = use
 
     def _read_g(self, number: int, hundredths: int) -> str:
@@ -98,18 +98,18 @@ class _Reader:
                 modes.distance = number
                 return "distance"
             if number == 90 or hundredths != 10:
-                raise GcodeError(UNSUPPORTED)
+                raise FirmwareGcodeError(UNSUPPORTED)
             return "arc distance"
         group = _GROUP_OF.get(number)
         if group is None:
-            raise GcodeError(UNSUPPORTED)
+            raise FirmwareGcodeError(UNSUPPORTED)
         if group == "action":
             if number in (10, 28, 30, 92) and hundredths == 0:
                 self._take_axes(_Use.ACTION)
             self.action = float(number)
             if number in (28, 30, 92):
                 if hundredths not in (0, 10):
-                    raise GcodeError(UNSUPPORTED)
+                    raise FirmwareGcodeError(UNSUPPORTED)
                 self.action = number + hundredths / 100
                 hundredths = 0
         elif group == "motion":
@@ -118,19 +118,19 @@ class _Reader:
             modes.motion = number
             if number == 38:
                 if hundredths not in (20, 30, 40, 50):
-                    raise GcodeError(UNSUPPORTED)
+                    raise FirmwareGcodeError(UNSUPPORTED)
                 modes.motion = 38 + hundredths / 100
                 hundredths = 0
         elif group == "length":
             self._take_axes(_Use.LENGTH)
             if number == 43 and hundredths != 10:
-                raise GcodeError(UNSUPPORTED)
+                raise FirmwareGcodeError(UNSUPPORTED)
             self.length_command = number
             hundredths = 0
         elif group == "path" and hundredths:
-            raise GcodeError(UNSUPPORTED)
+            raise FirmwareGcodeError(UNSUPPORTED)
         if hundredths > 0:
-            raise GcodeError(NOT_INTEGER)
+            raise FirmwareGcodeError(NOT_INTEGER)
         if group == "plane":
             modes.plane = number
         elif group == "feed mode":
@@ -153,17 +153,17 @@ class _Reader:
             self.modes.mist = number == 7 or (self.modes.mist and number != 9)
             self.modes.flood = number == 8 or (self.modes.flood and number != 9)
             return "coolant"
-        raise GcodeError(UNSUPPORTED)
+        raise FirmwareGcodeError(UNSUPPORTED)
 
     def _read_value(self, letter: str, value: float) -> None:
         if letter not in _VALUE_LETTERS:
-            raise GcodeError(UNSUPPORTED)
+            raise FirmwareGcodeError(UNSUPPORTED)
         if letter == "T" and value > _MAX_TOOL:
-            raise GcodeError(TOO_LARGE)
+            raise FirmwareGcodeError(TOO_LARGE)
         if letter in self.values:
-            raise GcodeError(REPEATED)
+            raise FirmwareGcodeError(REPEATED)
         if letter in _NOT_NEGATIVE and value < 0:
-            raise GcodeError(NEGATIVE)
+            raise FirmwareGcodeError(NEGATIVE)
         self.values[letter] = value
 
     def check(self) -> CheckedBlock:
@@ -173,7 +173,7 @@ class _Reader:
         if self.axes and self.use is _Use.NONE:
             self.use = _Use.MOTION
         if int(values.get("N", 0)) > _MAX_LINE_NUMBER:
-            raise GcodeError(LINE_NUMBER)
+            raise FirmwareGcodeError(LINE_NUMBER)
         self.scale = MM_PER_INCH if modes.units == 20 else 1.0
         block = CheckedBlock(
             modes=modes,
@@ -185,7 +185,7 @@ class _Reader:
         )
         if self.action == 4:
             if "P" not in values:
-                raise GcodeError(MISSING)
+                raise FirmwareGcodeError(MISSING)
             self.unused.discard("P")
             block.dwell_s = values["P"]
         if self.use is _Use.LENGTH:
@@ -201,9 +201,9 @@ class _Reader:
         if self.use is not _Use.NONE:
             self.unused -= set("XYZ")
         if self.unused:
-            raise GcodeError(UNUSED)
+            raise FirmwareGcodeError(UNUSED)
         if self.jog and (self.groups - _JOG_GROUPS or self.action not in (None, 53)):
-            raise GcodeError(BAD_JOG)
+            raise FirmwareGcodeError(BAD_JOG)
         block.moves = self.use is _Use.MOTION
         return block
 
@@ -211,11 +211,11 @@ class _Reader:
         given = self.values.get("F")
         if self.jog:
             if given is None:
-                raise GcodeError(NO_FEED)
+                raise FirmwareGcodeError(NO_FEED)
             return given * self.scale
         if self.modes.feed_mode == 93:
             if self.use is _Use.MOTION and self.modes.motion not in (0, 80) and given is None:
-                raise GcodeError(NO_FEED)
+                raise FirmwareGcodeError(NO_FEED)
             return given or 0.0
         if self.state.modes.feed_mode == 93:
             return given or 0.0  # the old value was an inverse time and is invalid now
@@ -225,7 +225,7 @@ class _Reader:
         if self.length_command == 49:
             block.tool_length = 0.0
         elif self.axes != [2]:
-            raise GcodeError(TLO_AXIS)
+            raise FirmwareGcodeError(TLO_AXIS)
         else:
             block.tool_length = self.values["Z"] * self.scale
 
@@ -235,15 +235,15 @@ class _Reader:
 
     def _set_system(self, block: CheckedBlock) -> None:
         if not self.axes:
-            raise GcodeError(NO_AXIS)
+            raise FirmwareGcodeError(NO_AXIS)
         if "P" not in self.values and "L" not in self.values:
-            raise GcodeError(MISSING)
+            raise FirmwareGcodeError(MISSING)
         index = one_byte(self.values.get("P", 0))
         if index > len(self.places) - 2:
-            raise GcodeError(NO_SYSTEM)
+            raise FirmwareGcodeError(NO_SYSTEM)
         mode = one_byte(self.values.get("L", 0))
         if mode not in (2, 20) or (mode == 2 and "R" in self.values):
-            raise GcodeError(UNSUPPORTED)
+            raise FirmwareGcodeError(UNSUPPORTED)
         self.unused -= {"P", "L"}
         block.place_index = index - 1 if index else self.modes.system
         block.place = list(self.places[block.place_index])
@@ -253,7 +253,7 @@ class _Reader:
 
     def _set_g92(self, block: CheckedBlock) -> None:
         if not self.axes:
-            raise GcodeError(NO_AXIS)
+            raise FirmwareGcodeError(NO_AXIS)
         block.place = list(self.state.g92)
         for axis in self.axes:
             value = self.values["XYZ"[axis]] * self.scale
@@ -280,60 +280,60 @@ class _Reader:
             else:
                 self.use = _Use.NONE
         elif self.action == 53 and self.modes.motion not in (0, 1):
-            raise GcodeError(G53_MODE)
+            raise FirmwareGcodeError(G53_MODE)
 
     def _motion(self, block: CheckedBlock) -> None:
         motion = self.modes.motion
         if motion == 80:
             if self.axes:
-                raise GcodeError(AXIS_UNUSED)
+                raise FirmwareGcodeError(AXIS_UNUSED)
             return
         if self.use is not _Use.MOTION:
             return
         if motion != 0 and block.feed == 0:
-            raise GcodeError(NO_FEED)
+            raise FirmwareGcodeError(NO_FEED)
         if motion in (0, 1):
             if not self.axes:
                 self.use = _Use.NONE
             return
         if not self.axes:
-            raise GcodeError(NO_AXIS)
+            raise FirmwareGcodeError(NO_AXIS)
         if motion in (2, 3):
             self._arc(block)
         elif block.target == self.state.position:
-            raise GcodeError(BAD_TARGET)
+            raise FirmwareGcodeError(BAD_TARGET)
 
     def _arc(self, block: CheckedBlock) -> None:
         first, second, _ = PLANE_AXES[self.modes.plane]
         if first not in self.axes and second not in self.axes:
-            raise GcodeError(NO_PLANE_AXIS)
+            raise FirmwareGcodeError(NO_PLANE_AXIS)
         dx = block.target[first] - self.state.position[first]
         dy = block.target[second] - self.state.position[second]
         if "R" in self.values:
             self.unused.discard("R")
             if block.target == self.state.position:
-                raise GcodeError(BAD_TARGET)
+                raise FirmwareGcodeError(BAD_TARGET)
             radius = self.values["R"] * self.scale
             chord = math.hypot(dx, dy)
             if abs(radius) < chord / 2:
-                raise GcodeError(BAD_RADIUS)
+                raise FirmwareGcodeError(BAD_RADIUS)
             # The centre is on the chord's bisector: to the left for the short counter-clockwise arc.
             side = 1.0 if (self.modes.motion == 3) == (radius > 0) else -1.0
             height = side * math.sqrt(radius**2 - chord**2 / 4)
             if chord == 0:
-                raise GcodeError(BAD_TARGET)
+                raise FirmwareGcodeError(BAD_TARGET)
             block.center = (dx / 2 - dy / chord * height, dy / 2 + dx / chord * height)
             block.radius = abs(radius)
             return
         offsets = "IJK"[first], "IJK"[second]
         if not any(letter in self.values for letter in offsets):
-            raise GcodeError(NO_OFFSET)
+            raise FirmwareGcodeError(NO_OFFSET)
         self.unused -= set("IJK")
         i, j = (self.values.get(letter, 0.0) * self.scale for letter in offsets)
         block.center, block.radius = (i, j), math.hypot(i, j)
         error = abs(math.hypot(dx - i, dy - j) - block.radius)
         if error > 0.5 or (error > 0.005 and error > 0.001 * block.radius):
-            raise GcodeError(BAD_TARGET)
+            raise FirmwareGcodeError(BAD_TARGET)
 
 
 def check_line(
@@ -356,9 +356,9 @@ def check_line(
 
     Raises
     ------
-    GcodeError
+    FirmwareGcodeError
         With the board's error number.
     """
-    reader = _Reader(state, places, jog=jog, mist=mist)
+    reader = _BlockReader(state, places, jog=jog, mist=mist)
     reader.read(text)
     return reader.check()

@@ -10,7 +10,7 @@ from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable
 
-from gantry_driver.mock.firmware.motion import Block, Motion, MotionEvent, Triple
+from gantry_driver.mock.firmware.motion import Block, MotionEvent, MotionPlanner, Triple
 from gantry_driver.mock.firmware.options import BoardOptions
 from gantry_driver.mock.firmware.parser_state import ParserState
 from gantry_driver.mock.firmware.states import (
@@ -45,7 +45,7 @@ class Interrupts(ABC):
         Source of all random numbers, so that a seed repeats a run.
     """
 
-    motion: Motion
+    motion: MotionPlanner
     parser: ParserState
     overrides: Overrides
     _firmware: Firmware | None

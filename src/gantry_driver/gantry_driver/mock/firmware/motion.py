@@ -87,7 +87,7 @@ def _limited(unit: Vector, limits: Vector) -> float:
     return min(limit / abs(u) for limit, u in zip(limits, unit) if u)
 
 
-class Motion:
+class MotionPlanner:
     """The planned moves, and the one in progress.
 
     ``watch`` is called at the start of each block; it returns the distance (mm along it) at which to raise

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 
 @dataclass(slots=True)
-class Modes:
+class ParserModes:
     """The modal groups; numbers are those of the G- and M-codes, probing is 38.2 to 38.5."""
 
     motion: float = 0
@@ -20,9 +20,9 @@ class Modes:
     flood: bool = False
     mist: bool = False
 
-    def copy(self) -> Modes:
+    def copy(self) -> ParserModes:
         """Return an equal object."""
-        return Modes(
+        return ParserModes(
             self.motion,
             self.system,
             self.plane,
@@ -39,7 +39,7 @@ class Modes:
 class ParserState:
     """State of the parser between lines; mm and mm/min."""
 
-    modes: Modes = field(default_factory=Modes)
+    modes: ParserModes = field(default_factory=ParserModes)
     position: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
     g92: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
     tool_length: float = 0.0
@@ -52,7 +52,7 @@ class ParserState:
 class CheckedBlock:
     """A line without errors, with its values in mm and machine coordinates."""
 
-    modes: Modes
+    modes: ParserModes
     feed: float
     """mm/min, or 1/min in inverse time."""
     speed: float

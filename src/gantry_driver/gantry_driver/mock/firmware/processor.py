@@ -12,7 +12,7 @@ from collections import deque
 
 from gantry_driver.mock.firmware import reports
 from gantry_driver.mock.firmware.interrupts import Interrupts
-from gantry_driver.mock.firmware.motion import Limits, Motion, Triple, Vector
+from gantry_driver.mock.firmware.motion import Limits, MotionPlanner, Triple, Vector
 from gantry_driver.mock.firmware.parser_state import ParserState
 from gantry_driver.mock.firmware.states import (
     ERROR_LOCKED,
@@ -76,7 +76,7 @@ class Processor(Interrupts):
         self._fifo_window, self._fifo_used = -1, 0
         self._ring = deque()
         self._alarm = None
-        self.motion = Motion(self._limits())
+        self.motion = MotionPlanner(self._limits())
         self.motion.watch = self._watch
         self._probing = None
         self.parser = ParserState()

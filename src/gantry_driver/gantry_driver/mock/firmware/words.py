@@ -9,7 +9,7 @@ from gantry_driver.mock.firmware.floats import read_number
 LETTER, NUMBER = 1, 2
 
 
-class GcodeError(Exception):
+class FirmwareGcodeError(Exception):
     """The line is rejected with ``error:number``."""
 
     def __init__(self, number: int) -> None:
@@ -23,9 +23,9 @@ def split_words(text: str) -> Iterator[tuple[str, float]]:
     while index < len(text):
         letter = text[index]
         if not "A" <= letter <= "Z":
-            raise GcodeError(LETTER)
+            raise FirmwareGcodeError(LETTER)
         number = read_number(text, index + 1)
         if number is None:
-            raise GcodeError(NUMBER)
+            raise FirmwareGcodeError(NUMBER)
         value, index = number
         yield letter, value

@@ -184,15 +184,17 @@ def _of_circle(values: Array, outward: Array) -> Array | None:
     slopes = np.minimum(slopes, np.quantile(slopes, 0.95))
     middle, at, spokes = slopes.shape[1] // 2, np.zeros(2), np.arange(len(slopes))
 
-    def score(shift: Array) -> float:
-        index = np.clip(np.rint(middle + outward @ shift / _STEP_MM).astype(int), 0, slopes.shape[1] - 1)
-        return float(np.sqrt(slopes[spokes, index]).mean())
+    roots = np.sqrt(slopes)
+
+    def scores(shifts: Array) -> Array:
+        """Return (N,) scores of shifts (N, 2) mm."""
+        index = np.clip(np.rint(middle + shifts @ outward.T / _STEP_MM).astype(int), 0, slopes.shape[1] - 1)
+        return np.asarray(roots[spokes, index].mean(axis=1))
 
     for step in (0.3, 0.1, _STEP_MM):
-        grid = step * np.arange(-5, 6)
-        scores = np.array([[score(at + (x, y)) for x in grid] for y in grid])
-        row, column = np.unravel_index(int(np.argmax(scores)), scores.shape)
-        at = at + (grid[column], grid[row])
-    if np.abs(at).max() >= REACH_MM or score(at) ** 2 < _LEAST_GRADIENT:
+        rows, columns = np.mgrid[-5:6, -5:6]
+        tried = at + step * np.column_stack([columns.ravel(), rows.ravel()])
+        at = tried[int(np.argmax(scores(tried)))]
+    if np.abs(at).max() >= REACH_MM or scores(at[None])[0] ** 2 < _LEAST_GRADIENT:
         return None
     return at

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from harris_perception.core.cameras.print_page import BORDER_MM, PAPERS_MM, RULER_MM, Rectangle, Sheet, pdf, svg
+from harris_perception.core.cameras.print_page import BORDER_MM, PAPERS_MM, RULER_MM, PrintRectangle, Sheet, pdf, svg
 from icu_common.core.configuration.config import Config, ConfigError, setting
 from icu_common.core.geometry import fiducial
 from icu_common.core.geometry.geometry import Array
@@ -19,7 +19,7 @@ KINDS = ("chessboard", "charuco")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Board(Config):
+class CalibrationBoard(Config):
     """A flat board of squares.
 
     Corners are counted row by row from the upper left; x points right, y down the board, z into it.
@@ -94,7 +94,7 @@ def _marker_bits(dictionary: Any, number: int) -> npt.NDArray[np.bool_]:
     return np.asarray(draw(dictionary, number, cells)) > 127
 
 
-def rectangles(board: Board) -> Iterator[Rectangle]:
+def rectangles(board: CalibrationBoard) -> Iterator[PrintRectangle]:
     """Yield the black and white areas to fill, in order of painting, on white."""
     side = board.square_m
     dictionary = aruco_dictionary(board.dictionary) if board.kind == "charuco" else None
@@ -103,18 +103,18 @@ def rectangles(board: Board) -> Iterator[Rectangle]:
         for column in range(board.columns + 1):
             x, y = column * side, row * side
             if (row + column) % 2 == 0:
-                yield Rectangle(x, y, side, side, True)
+                yield PrintRectangle(x, y, side, side, True)
             elif dictionary is not None:
                 gap = (side - board.marker_m) / 2
-                yield Rectangle(x + gap, y + gap, board.marker_m, board.marker_m, True)
+                yield PrintRectangle(x + gap, y + gap, board.marker_m, board.marker_m, True)
                 bits = _marker_bits(dictionary, number)
                 cell = board.marker_m / len(bits)
                 for i, j in np.argwhere(bits):
-                    yield Rectangle(x + gap + j * cell, y + gap + i * cell, cell, cell, False)
+                    yield PrintRectangle(x + gap + j * cell, y + gap + i * cell, cell, cell, False)
                 number += 1
 
 
-def _sheet(board: Board, paper: str) -> Sheet:
+def _sheet(board: CalibrationBoard, paper: str) -> Sheet:
     width, height = (v * 1e3 for v in board.size_m)
     if paper == "fit":
         border = max(board.square_m * 1e3, BORDER_MM)
@@ -137,7 +137,7 @@ def _sheet(board: Board, paper: str) -> Sheet:
     return Sheet(width=page[0], height=page[1], left=left, top=top, notes=notes, rectangles=tuple(rectangles(board)))
 
 
-def board_svg(board: Board, paper: str = "fit") -> str:
+def board_svg(board: CalibrationBoard, paper: str = "fit") -> str:
     """Return an SVG document of the board in true size.
 
     Raises
@@ -148,7 +148,7 @@ def board_svg(board: Board, paper: str = "fit") -> str:
     return svg(_sheet(board, paper))
 
 
-def board_pdf(board: Board, paper: str = "fit") -> bytes:
+def board_pdf(board: CalibrationBoard, paper: str = "fit") -> bytes:
     """Return a PDF document of the board in true size.
 
     Raises

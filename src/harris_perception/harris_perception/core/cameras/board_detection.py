@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from harris_perception.core.cameras.board import Board, aruco_dictionary
+from harris_perception.core.cameras.board import CalibrationBoard, aruco_dictionary
 from icu_common.core.geometry.geometry import Array
 
 _WINDOW_SHARE = 0.35
@@ -32,7 +32,7 @@ class BoardView:
     size
         (width, height) of the image in pixels.
     ids
-        (N,) numbers of the corners, as in :meth:`Board.points`.
+        (N,) numbers of the corners, as in :meth:`CalibrationBoard.points`.
     xy
         (N, 2) raw pixels; the centre of the first pixel is (0, 0).
 
@@ -54,13 +54,13 @@ class BoardView:
             )
 
 
-def are_enough(board: Board, ids: npt.NDArray[np.int64]) -> bool:
+def are_enough(board: CalibrationBoard, ids: npt.NDArray[np.int64]) -> bool:
     """Return whether these corners (N,) determine the board's pose: 8 or more, not all on one line."""
     rows, columns = np.divmod(ids, board.columns)
     return len(ids) >= _MIN_CORNERS and bool(np.ptp(rows) > 0 and np.ptp(columns) > 0)
 
 
-def out_of_line(board: Board, ids: npt.NDArray[np.int64], xy: Array) -> float:
+def out_of_line(board: CalibrationBoard, ids: npt.NDArray[np.int64], xy: Array) -> float:
     """Return the maximum deviation of a corner from the line of its neighbours, in spacings.
 
     It is the largest third difference of four corners in a row or column, which perspective and lens hardly affect.
@@ -85,7 +85,7 @@ class BoardDetector:
         Stop early if there seems to be no board: for live images, where the next one may succeed.
     """
 
-    def __init__(self, board: Board, *, quick: bool = False) -> None:
+    def __init__(self, board: CalibrationBoard, *, quick: bool = False) -> None:
         self._board = board
         self._flags = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
         if quick:
@@ -142,7 +142,7 @@ class BoardDetector:
 class _CharucoFinder:
     """OpenCV's ChArUco detector: a class since 4.7, functions before."""
 
-    def __init__(self, board: Board) -> None:
+    def __init__(self, board: CalibrationBoard) -> None:
         self._dictionary = aruco_dictionary(board.dictionary)
         squares = (board.columns + 1, board.rows + 1)
         aruco: Any = cv2.aruco
@@ -167,7 +167,7 @@ class _CharucoFinder:
         return np.asarray(ids, dtype=np.int64).ravel(), np.asarray(corners, dtype=np.float64).reshape(-1, 2)
 
 
-def size_shown(gray: npt.NDArray[np.uint8], board: Board) -> tuple[int, int] | None:
+def size_shown(gray: npt.NDArray[np.uint8], board: CalibrationBoard) -> tuple[int, int] | None:
     """Return the (columns, rows) that the image does show, if they differ by at most one from the board's.
 
     For the error message, because people may count squares instead of inner corners.

@@ -13,7 +13,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from harris_perception.core.cameras.board import Board
+from harris_perception.core.cameras.board import CalibrationBoard
 from harris_perception.core.cameras.board_detection import BoardView
 from harris_perception.core.cameras.calibration_config import (
     CRITERIA,
@@ -60,7 +60,7 @@ class CameraCalibration:
 
 
 def calibrate_camera(
-    board: Board, views: Sequence[BoardView], config: CalibrationConfig, name: str = "camera"
+    board: CalibrationBoard, views: Sequence[BoardView], config: CalibrationConfig, name: str = "camera"
 ) -> CameraCalibration:
     """Calibrate one camera.
 
@@ -127,7 +127,7 @@ def calibrate_camera(
     return without_outliers(views, once, config)
 
 
-def matched_points(board: Board, views: Sequence[BoardView]) -> tuple[list[Any], list[Any]]:
+def matched_points(board: CalibrationBoard, views: Sequence[BoardView]) -> tuple[list[Any], list[Any]]:
     """Return the board's points and the corners of each view, (M, 1, 3) m and (M, 1, 2) px, as OpenCV takes them."""
     objects = [board.points()[view.ids].astype(np.float32).reshape(-1, 1, 3) for view in views]
     return objects, [view.xy.astype(np.float32).reshape(-1, 1, 2) for view in views]

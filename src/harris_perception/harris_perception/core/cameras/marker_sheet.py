@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from harris_perception.core.cameras.print_page import BORDER_MM, PAPERS_MM, RULER_MM, Label, Rectangle, Sheet
+from harris_perception.core.cameras.print_page import BORDER_MM, PAPERS_MM, RULER_MM, Label, PrintRectangle, Sheet
 from icu_common.core.geometry.fiducial import Fiducial, count_of
 
 _BETWEEN_MM = 8.0
@@ -47,7 +47,7 @@ def marker_sheet(dictionary: str, numbers: Sequence[int], size_mm: float, paper:
             f"{len(numbers)} markers of {size_mm:g} mm: the paper {paper} has room for {columns * rows}; "
             "choose smaller or fewer markers, or a larger paper"
         )
-    rectangles: list[Rectangle] = []
+    rectangles: list[PrintRectangle] = []
     labels: list[Label] = []
     for place, number in enumerate(numbers):
         left, top = (place % columns) * pitch, (place // columns) * pitch
@@ -66,5 +66,5 @@ def marker_sheet(dictionary: str, numbers: Sequence[int], size_mm: float, paper:
     )
 
 
-def _in_metres(x: float, y: float, width: float, height: float, *, black: bool) -> Rectangle:
-    return Rectangle(x * 1e-3, y * 1e-3, width * 1e-3, height * 1e-3, black)
+def _in_metres(x: float, y: float, width: float, height: float, *, black: bool) -> PrintRectangle:
+    return PrintRectangle(x * 1e-3, y * 1e-3, width * 1e-3, height * 1e-3, black)

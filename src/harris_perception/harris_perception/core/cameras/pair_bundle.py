@@ -9,7 +9,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from harris_perception.core.cameras.board import Board
+from harris_perception.core.cameras.board import CalibrationBoard
 from harris_perception.core.cameras.board_detection import BoardView
 from harris_perception.core.cameras.calibration_config import INTRINSICS
 from harris_perception.core.cameras.shared_covariance import shared_covariance
@@ -27,7 +27,7 @@ class PairBundle:
 
     def __init__(
         self,
-        board: Board,
+        board: CalibrationBoard,
         pairs: Sequence[tuple[BoardView, BoardView]],
         cameras: Sequence[tuple[Array, Array]],
         turn: Any,

@@ -9,7 +9,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from harris_perception.core.cameras.board import Board
+from harris_perception.core.cameras.board import CalibrationBoard
 from harris_perception.core.cameras.board_detection import BoardView, are_enough
 from harris_perception.core.cameras.calibration_config import (
     ANY_RMS_PX,
@@ -58,7 +58,7 @@ class PairCalibration:
     left_out: tuple[ViewError, ...]
 
 
-def common_corners(board: Board, left: BoardView, right: BoardView) -> tuple[BoardView, BoardView]:
+def common_corners(board: CalibrationBoard, left: BoardView, right: BoardView) -> tuple[BoardView, BoardView]:
     """Return both views reduced to their common corners, counted from the same end of the board.
 
     A chessboard rotated by 180 degrees looks the same to the finder. Cameras of a pair are never rolled by more than 90
@@ -76,7 +76,7 @@ def common_corners(board: Board, left: BoardView, right: BoardView) -> tuple[Boa
 
 
 def calibrate_stereo(
-    board: Board,
+    board: CalibrationBoard,
     pairs: Sequence[tuple[BoardView, BoardView]],
     config: CalibrationConfig,
     names: tuple[str, str] = ("left", "right"),

@@ -16,7 +16,7 @@ BORDER_MM = 13.0
 _POINTS_PER_MM = 72 / 25.4
 
 
-class Rectangle(NamedTuple):
+class PrintRectangle(NamedTuple):
     """One filled rectangle in metres, relative to the upper left corner of the drawing, y down."""
 
     x: float
@@ -43,7 +43,7 @@ class Sheet:
     left: float
     top: float
     notes: tuple[str, str]
-    rectangles: Sequence[Rectangle]
+    rectangles: Sequence[PrintRectangle]
     labels: Sequence[Label] = ()
 
 

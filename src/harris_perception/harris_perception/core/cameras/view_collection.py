@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from harris_perception.core.cameras.board import Board
+from harris_perception.core.cameras.board import CalibrationBoard
 from harris_perception.core.cameras.board_detection import BoardView
 from harris_perception.core.cameras.view_coverage import Reach, coverage, is_still, view_place
 from icu_common.core.reasons.message import Message, joined
@@ -25,7 +25,7 @@ class ViewCollection:
         Number of views that is enough when nothing is missing.
     """
 
-    def __init__(self, board: Board, wanted: int = 20) -> None:
+    def __init__(self, board: CalibrationBoard, wanted: int = 20) -> None:
         self.board, self.wanted = board, wanted
         self.kept: list[tuple[BoardView, ...]] = []
         self._places: list[np.ndarray] = []

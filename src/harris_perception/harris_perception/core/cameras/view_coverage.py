@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from harris_perception.core.cameras.board import Board
+from harris_perception.core.cameras.board import CalibrationBoard
 from harris_perception.core.cameras.board_detection import BoardView
 from icu_common.core.geometry.geometry import Array
 from icu_common.core.reasons.message import Message, joined
@@ -55,7 +55,7 @@ def held_alike(views: Sequence[BoardView]) -> list[int]:
     return first
 
 
-def _homography(board: Board, view: BoardView) -> Array:
+def _homography(board: CalibrationBoard, view: BoardView) -> Array:
     """Return (3, 3) image_from_board."""
     found, _ = cv2.findHomography(board.points()[view.ids, :2], view.xy)
     if found is None:
@@ -63,7 +63,7 @@ def _homography(board: Board, view: BoardView) -> Array:
     return np.asarray(found, dtype=np.float64)
 
 
-def view_place(board: Board, view: BoardView) -> Array:
+def view_place(board: CalibrationBoard, view: BoardView) -> Array:
     """Return (4,) x, y, size, skew of one view, each about 0 to 1, to compare it with others.
 
     Raises
@@ -83,7 +83,7 @@ def view_place(board: Board, view: BoardView) -> Array:
     return np.array([x, y, np.sqrt(hull / (width * height)), skew])
 
 
-def coverage(board: Board, views: Sequence[BoardView]) -> tuple[Reach, ...]:
+def coverage(board: CalibrationBoard, views: Sequence[BoardView]) -> tuple[Reach, ...]:
     """Return the coverage in x, y, size and skew (the four of ROS's camera_calibration)."""
     if not views:
         return tuple(
@@ -108,7 +108,7 @@ def coverage(board: Board, views: Sequence[BoardView]) -> tuple[Reach, ...]:
     return tuple(reaches)
 
 
-def tilt_spread_deg(board: Board, views: Sequence[BoardView]) -> float:
+def tilt_spread_deg(board: CalibrationBoard, views: Sequence[BoardView]) -> float:
     """Return the approximate largest angle between the board's normals in two views, without a calibration.
 
     The focal length is guessed, so the angles are approximate. Parallel boards are detected with any focal length: the

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from harris_perception.core.cameras.board import Board
+from harris_perception.core.cameras.board import CalibrationBoard
 from harris_perception.core.cameras.board_detection import BoardView
 from harris_perception.core.cameras.calibration_config import CalibrationConfig
 from harris_perception.core.cameras.view_coverage import CalibrationError, tilt_spread_deg
@@ -28,7 +28,7 @@ def require_tilts(spread: float, count: int) -> None:
         )
 
 
-def require_views(board: Board, views: Sequence[BoardView], config: CalibrationConfig) -> tuple[int, int]:
+def require_views(board: CalibrationBoard, views: Sequence[BoardView], config: CalibrationConfig) -> tuple[int, int]:
     """Return the size of all images.
 
     Raises

@@ -59,7 +59,7 @@ class Rate:
 
 
 @dataclass(frozen=True, slots=True)
-class Pair:
+class HomographyPair:
     """Two images, second_from_first (3, 3), and kind and amount of the change between them."""
 
     change: str
@@ -78,7 +78,9 @@ def mapped(points: Points, homography: npt.NDArray[Any]) -> Points:
         return np.asarray(ends[:, :2] / ends[:, 2:])
 
 
-def repeatability(pair: Pair, first: Points, second: Points, epsilons_px: Sequence[float] = EPSILONS_PX) -> Rate:
+def repeatability(
+    pair: HomographyPair, first: Points, second: Points, epsilons_px: Sequence[float] = EPSILONS_PX
+) -> Rate:
     """Return the repeatability of the points (N, 2), (M, 2) of a pair's images."""
     ahead = mapped(first, pair.homography)
     back = mapped(second, np.linalg.inv(pair.homography))
@@ -146,7 +148,7 @@ def best_on_average(rows: Sequence[Mapping[str, Any]], names: Sequence[str]) -> 
     return max(names, key=lambda name: sum(rates[change, name] for change in changes))
 
 
-def warps(photograph: Gray, rng: np.random.Generator, *, noise: float = 2.0) -> Iterator[Pair]:
+def warps(photograph: Gray, rng: np.random.Generator, *, noise: float = 2.0) -> Iterator[HomographyPair]:
     """Yield pairs of a photograph (H, W) with itself rotated, scaled, relit, tilted and with noise.
 
     Each image gets its own noise (grey levels), so that no points repeat only because bytes are equal.
@@ -154,7 +156,9 @@ def warps(photograph: Gray, rng: np.random.Generator, *, noise: float = 2.0) -> 
     height, width = photograph.shape
     centre = ((width - 1) / 2, (height - 1) / 2)
 
-    def pair(change: str, amount: float, h: npt.NDArray[Any], relight: Callable[[Any], Any], sigma: float) -> Pair:
+    def pair(
+        change: str, amount: float, h: npt.NDArray[Any], relight: Callable[[Any], Any], sigma: float
+    ) -> HomographyPair:
         seen = cv2.warpPerspective(
             photograph, h, (width, height), flags=cv2.INTER_AREA, borderMode=cv2.BORDER_REPLICATE
         )
@@ -162,7 +166,7 @@ def warps(photograph: Gray, rng: np.random.Generator, *, noise: float = 2.0) -> 
             np.clip(p + rng.normal(0, s, p.shape), 0, 255).astype(np.uint8)
             for p, s in ((photograph.astype(np.float64), noise), (relight(seen.astype(np.float64)), sigma))
         ]
-        return Pair(change, amount, noisy[0], noisy[1], h)
+        return HomographyPair(change, amount, noisy[0], noisy[1], h)
 
     def same(p: Any) -> Any:
         return p
@@ -175,7 +179,7 @@ def warps(photograph: Gray, rng: np.random.Generator, *, noise: float = 2.0) -> 
         h = _similar(centre, 0.0, 1.0 / scale)
         small = cv2.warpPerspective(soft, h, (width, height), flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         noisy = [np.clip(p + rng.normal(0, noise, p.shape), 0, 255).astype(np.uint8) for p in (photograph, small)]
-        yield Pair("scale", scale, noisy[0], noisy[1], h)
+        yield HomographyPair("scale", scale, noisy[0], noisy[1], h)
     ramp = np.linspace(0.4, 1.3, width)[None]
     for gain in WARPS["light"]:
         yield pair("light", gain, np.eye(3), partial(np.multiply, gain or ramp), noise)

@@ -13,6 +13,7 @@ import yaml
 
 from harris_perception.core.hand_eye.carriage_camera import shifted
 from harris_perception.core.hand_eye.machine_axes import axes_skew
+from icu_common.core.configuration.yaml_text import UNREADABLE, Loader
 from icu_common.core.geometry.camera_model import CameraModel
 from icu_common.core.geometry.geometry import Array, Transform
 from icu_common.core.reasons.message import Message, joined, quoted
@@ -183,7 +184,7 @@ def load(path: Path) -> StoredCalibration:
         If it cannot be read.
     """
     try:
-        document: Any = yaml.safe_load(path.read_text(encoding="utf-8"))
+        document: Any = yaml.load(path.read_text(encoding="utf-8"), Loader)
         if not isinstance(document, dict) or document.get("format") != FORMAT:
             raise CalibrationFileError(Message("calibration.format_needed", format=FORMAT))
         axes = _numbers(document, "base_from_reading", (2, 2))
@@ -209,7 +210,7 @@ def load(path: Path) -> StoredCalibration:
             base_from_panel=_part(document, "base_from_panel", _pose_of) if panel else None,
             contact_offset_m=_numbers(document, "contact_offset_m", (3,), known=False),
         )
-    except (KeyError, TypeError, ValueError, OverflowError, yaml.YAMLError) as error:
+    except (KeyError, TypeError, ValueError, OverflowError, *UNREADABLE) as error:
         raise CalibrationFileError(Message("calibration.not_hand_eye_calibration", path=path, error=error)) from error
 
 

@@ -13,7 +13,7 @@ from harris_perception.core.hand_eye.hand_eye import HandEye
 from harris_perception.core.hand_eye.tip_samples import Sample
 from harris_perception.core.hand_eye_procedure.calibrator_actions import (
     Action,
-    Note,
+    LogNote,
     SetAxes,
     SetPose,
     SetSigma,
@@ -94,7 +94,7 @@ class CalibrationInUse:
         reason = Message("calibration.calibration_use_refused", why=why)
         return [
             SetAxes(None),
-            Note("error", reason),
+            LogNote("error", reason),
             *self._state.set(because("failed", reason)),
         ]
 
@@ -127,7 +127,7 @@ class CalibrationInUse:
                 return []
             self._refused = str(error)
             reason = Message("calibration.stored_calibration_refused", error=error)
-            return [Note("error", reason), *self._state.set(because("failed", reason))]
+            return [LogNote("error", reason), *self._state.set(because("failed", reason))]
         return self.use(loaded, None, now_ns)
 
     def drifted(self, *, running: bool) -> str:
@@ -154,7 +154,7 @@ class CalibrationInUse:
         text = self.drift.text
         if self.drift.off == before:
             return []
-        note = Note("warn", text) if text else Note("info", Message("drift.none_any_more"))
+        note = LogNote("warn", text) if text else LogNote("info", Message("drift.none_any_more"))
         summary = self.stored.summary()
         return [
             note,

@@ -13,7 +13,7 @@ import numpy as np
 from harris_perception.core.hand_eye.carriage_camera import PanelSample
 from harris_perception.core.hand_eye.tip_samples import Sample
 from harris_perception.core.hand_eye_procedure.calibration_plan import RunConfig
-from harris_perception.core.hand_eye_procedure.calibration_tour import Stop
+from harris_perception.core.hand_eye_procedure.calibration_tour import CalibrationStop
 from harris_perception.core.hand_eye_procedure.still_watch import NO_READINGS, StillConfig, panel_sample_of, sample_of
 from harris_perception.core.pose.planar_pose import FacePoints
 from icu_common.core.geometry.geometry import Array, Transform
@@ -51,7 +51,7 @@ class Seen:
     panel: PanelSample | None
 
 
-class Look:
+class CalibrationLook:
     """All sightings at one stop.
 
     Parameters
@@ -66,7 +66,9 @@ class Look:
         Whether tip and panel are to be measured.
     """
 
-    def __init__(self, stop: Stop, sent_ns: int, still: StillConfig, *, see_tip: bool, see_panel: bool) -> None:
+    def __init__(
+        self, stop: CalibrationStop, sent_ns: int, still: StillConfig, *, see_tip: bool, see_panel: bool
+    ) -> None:
         self.stop = stop
         self._still, self._see_tip, self._see_panel = still, see_tip, see_panel
         self._from_ns, self._until_ns = sent_ns, 0

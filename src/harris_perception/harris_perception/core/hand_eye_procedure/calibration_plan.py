@@ -13,8 +13,8 @@ from harris_perception.core.hand_eye.tip_samples import Sample
 from harris_perception.core.hand_eye_procedure.calibration_tour import (
     FITTED,
     Aims,
+    CalibrationStop,
     Purpose,
-    Stop,
     readings_of,
     seconds,
     shortest,
@@ -107,7 +107,7 @@ class RunConfig(Config):
             raise ConfigError("columns = 2, rows = 2; expected at least 3 of one, for two held-out places between")
 
 
-def plan(config: RunConfig, *, see_tip: bool = True) -> list[Stop]:
+def plan(config: RunConfig, *, see_tip: bool = True) -> list[CalibrationStop]:
     """Return the goals up to the first solution, in order.
 
     The controller approaches each position from below, so that the backlash is always taken up. If the cameras do not
@@ -126,8 +126,8 @@ def plan(config: RunConfig, *, see_tip: bool = True) -> list[Stop]:
 
 
 def next_stops(
-    config: RunConfig, known: Array, visited: set[tuple[float, float]], at: Stop, *, see_tip: bool = True
-) -> list[Stop]:
+    config: RunConfig, known: Array, visited: set[tuple[float, float]], at: CalibrationStop, *, see_tip: bool = True
+) -> list[CalibrationStop]:
     """Return the goals of one more position: the most useful one per second; empty if none is left.
 
     Parameters
@@ -201,7 +201,7 @@ def _axes(config: RunConfig) -> tuple[Array, Array]:
     return xs, np.linspace(config.y_min_m, config.y_max_m, config.rows)
 
 
-def _grid(config: RunConfig, see_tip: bool) -> list[list[Stop]]:
+def _grid(config: RunConfig, see_tip: bool) -> list[list[CalibrationStop]]:
     """Return the candidate positions, each with the stops at its heights."""
     xs, ys = _axes(config)
     sets = []
@@ -211,11 +211,11 @@ def _grid(config: RunConfig, see_tip: bool) -> list[list[Stop]]:
             if config.mounting == "carriage":
                 # The panel looks the same from each height, and only the tip moves with the height.
                 heights = heights[(row + column) % len(heights) :][:1] if see_tip else (0.0,)
-            sets.append([Stop(float(x), float(y), z, Purpose.FIT) for z in heights])
+            sets.append([CalibrationStop(float(x), float(y), z, Purpose.FIT) for z in heights])
     return sets
 
 
-def _checks(config: RunConfig, see_tip: bool) -> list[Stop]:
+def _checks(config: RunConfig, see_tip: bool) -> list[CalibrationStop]:
     """Return the held-out positions, each in the middle between others."""
     xs, ys = _axes(config)
     between = [(float(x), float(y)) for y in (ys[1:] + ys[:-1]) / 2 for x in (xs[1:] + xs[:-1]) / 2]
@@ -223,10 +223,13 @@ def _checks(config: RunConfig, see_tip: bool) -> list[Stop]:
     spread = [int(i * 0.618034 * len(between)) % len(between) for i in range(config.held_out)]
     chosen = list(dict.fromkeys([*spread, *range(len(between))]))[: config.held_out]
     low = config.held_out_height_m if see_tip else 0.0
-    return [Stop(between[i][0], between[i][1], low if n % 2 else 0.0, Purpose.CHECK) for n, i in enumerate(chosen)]
+    return [
+        CalibrationStop(between[i][0], between[i][1], low if n % 2 else 0.0, Purpose.CHECK)
+        for n, i in enumerate(chosen)
+    ]
 
 
-def _from_both_sides(config: RunConfig) -> list[list[Stop]]:
+def _from_both_sides(config: RunConfig) -> list[list[CalibrationStop]]:
     """Return the pairs of stops for the backlash: close together, approached from below and from above.
 
     The controller approaches every position from below, except at the lower end of an axis, where there is no room for
@@ -235,7 +238,7 @@ def _from_both_sides(config: RunConfig) -> list[list[Stop]]:
     pairs, beside = [], 2 * config.approach_m
     for share in (np.arange(config.backlash_places) + 1.0) / (config.backlash_places + 1):
         y = float(config.y_min_m + share * (config.y_max_m - config.y_min_m))
-        pairs.append([Stop(beside, y, 0.0, Purpose.X_BELOW), Stop(0.0, y, 0.0, Purpose.X_ABOVE)])
+        pairs.append([CalibrationStop(beside, y, 0.0, Purpose.X_BELOW), CalibrationStop(0.0, y, 0.0, Purpose.X_ABOVE)])
         x = float(config.x_min_m + share * (config.x_max_m - config.x_min_m))
-        pairs.append([Stop(x, beside, 0.0, Purpose.Y_BELOW), Stop(x, 0.0, 0.0, Purpose.Y_ABOVE)])
+        pairs.append([CalibrationStop(x, beside, 0.0, Purpose.Y_BELOW), CalibrationStop(x, 0.0, 0.0, Purpose.Y_ABOVE)])
     return pairs

@@ -15,10 +15,14 @@ import numpy as np
 from harris_perception.core.hand_eye.carriage_camera import Contact
 from harris_perception.core.hand_eye.degeneracy import DegenerateError, MisfitError
 from harris_perception.core.hand_eye.hand_eye_config import HandEyeConfig
-from harris_perception.core.hand_eye_procedure.calibration_look import Look, Patience, Rest
+from harris_perception.core.hand_eye_procedure.calibration_look import CalibrationLook, Patience, Rest
 from harris_perception.core.hand_eye_procedure.calibration_plan import RunConfig, is_worth_more, next_stops, plan
-from harris_perception.core.hand_eye_procedure.calibration_solution import Failed, Finished, Samples
-from harris_perception.core.hand_eye_procedure.calibration_tour import SAMPLED, Purpose, Stop, seconds
+from harris_perception.core.hand_eye_procedure.calibration_solution import (
+    CalibrationFailed,
+    CalibrationFinished,
+    Samples,
+)
+from harris_perception.core.hand_eye_procedure.calibration_tour import SAMPLED, CalibrationStop, Purpose, seconds
 from harris_perception.core.hand_eye_procedure.lowering_check import LoweringCheck
 from harris_perception.core.hand_eye_procedure.pair_corrections import PairCorrections
 from harris_perception.core.hand_eye_procedure.panel_clearance import PanelClearance
@@ -38,7 +42,7 @@ _PAUSE_S = 0.25
 
 
 @dataclass(frozen=True, slots=True)
-class SendGoal:
+class SendCalibrationGoal:
     """Go to ``xyz`` in base_link; results carry the id ``str(stamp_ns)``."""
 
     xyz: tuple[float, float, float]
@@ -55,12 +59,12 @@ class Progress:
     remaining_s: float = math.nan
 
 
-Action = SendGoal | Progress | Finished | Failed
+Action = SendCalibrationGoal | Progress | CalibrationFinished | CalibrationFailed
 _FINE = ("idle", "moving")
 
 
 class CalibrationRun:
-    """One run from start to end; ``over`` is true after Finished or Failed.
+    """One run from start to end; ``over`` is true after CalibrationFinished or CalibrationFailed.
 
     Parameters
     ----------
@@ -99,8 +103,8 @@ class CalibrationRun:
         self._accepted = ""
         self._arrived = self._pausing = False
         self._start_ns = self._deadline_ns = now_ns
-        self._look: Look | None = None
-        self._left: Look | None = None
+        self._look: CalibrationLook | None = None
+        self._left: CalibrationLook | None = None
         self._pair = PairCorrections(cameras)
         self._samples = Samples(config, solver, cameras, contacts, self._pair)
         self._done = 0
@@ -154,7 +158,7 @@ class CalibrationRun:
         where = Message("calibration.z", x=stop.x * 1000.0, y=stop.y * 1000.0, z_mm=stop.z * 1000.0)
         return self._fail(Message("calibration.goal", where=where, outcome=result.outcome.value, reason=reason))
 
-    def _arrive(self, stop: Stop, now_ns: int) -> list[Action]:
+    def _arrive(self, stop: CalibrationStop, now_ns: int) -> list[Action]:
         self._arrived, self._pausing = True, False
         self._patience.begin()
         if stop.purpose is Purpose.PARK:
@@ -182,7 +186,7 @@ class CalibrationRun:
             look.panel(stamp_ns, camera_from_panel, points)
         return self._advance(now_ns)
 
-    def _open(self) -> list[Look]:
+    def _open(self) -> list[CalibrationLook]:
         return [look for look in (self._left, self._look) if look is not None]
 
     def _advance(self, now_ns: int) -> list[Action]:
@@ -218,7 +222,7 @@ class CalibrationRun:
             self._left = look
         return list(self._next(now_ns))
 
-    def _take(self, look: Look) -> list[Action]:
+    def _take(self, look: CalibrationLook) -> list[Action]:
         """Store the result of a look, or count it as missed; return the actions that end the run in that case."""
         seen = look.result()
         if isinstance(seen, str):
@@ -328,17 +332,17 @@ class CalibrationRun:
             stop = self._stops[self._index] = room
         self._goal_ids, self._look = set(), None
         if stop.purpose is not Purpose.PARK:
-            self._look = Look(stop, now_ns, self._still, see_tip=self._see_tip, see_panel=self._see_panel)
+            self._look = CalibrationLook(stop, now_ns, self._still, see_tip=self._see_tip, see_panel=self._see_panel)
         yield self._send(now_ns)
 
-    def _send(self, now_ns: int) -> SendGoal:
+    def _send(self, now_ns: int) -> SendCalibrationGoal:
         """Return the goal of this stop, with the present time as stamp."""
         stop = self._stops[self._index]
         self._accepted, self._arrived, self._pausing = "", False, False
         self._goal_ids.add(str(now_ns))
         self._deadline_ns = now_ns + self._patience.limit_ns(self._config.accept_timeout_s)
         x, y = (float(v) for v in self._axes @ np.array([stop.x, stop.y]))
-        return SendGoal((x, y, stop.z), now_ns)
+        return SendCalibrationGoal((x, y, stop.z), now_ns)
 
     def _progress(self, now_ns: int, late: str = "") -> Progress:
         done = self._done + len(self._missed)
@@ -392,4 +396,4 @@ class CalibrationRun:
 
     def _fail(self, reason: str) -> list[Action]:
         self.over = True
-        return [Failed(reason)]
+        return [CalibrationFailed(reason)]

@@ -35,7 +35,7 @@ _SCATTER = 3.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Finished:
+class CalibrationFinished:
     """The calibration, the errors (N,) m at the held-out positions, and the backlash of x and y if it was measured."""
 
     calibration: HandEye
@@ -44,7 +44,7 @@ class Finished:
 
 
 @dataclass(frozen=True, slots=True)
-class Failed:
+class CalibrationFailed:
     """The run has ended without a calibration."""
 
     reason: str
@@ -112,12 +112,12 @@ class Samples:
         except DegenerateError as error:
             return error
 
-    def check(self, calibration: HandEye) -> Finished | Failed:
+    def check(self, calibration: HandEye) -> CalibrationFinished | CalibrationFailed:
         """Check at the held-out positions; a calibration that passes is solved again including them."""
         panels, tips = self._panels_of(Purpose.CHECK), self._tips_of(Purpose.CHECK)
         checks = max(len(panels), len(tips))
         if checks < 2:
-            return Failed(Message("calibration.only_held_out_places_gave", checks=checks))
+            return CalibrationFailed(Message("calibration.only_held_out_places_gave", checks=checks))
         if self._see_panel:
             errors = held_out_on_carriage(calibration, panels, self._cameras.left)
         else:
@@ -126,7 +126,7 @@ class Samples:
         limit_m = max(self._config.max_held_out_m, _SCATTER * calibration.fit.rms_m)
         if errors.max() > limit_m:
             what = "panel" if self._see_panel else "tip"
-            return Failed(
+            return CalibrationFailed(
                 Message(
                     "calibration.held_out_place_off_accepted",
                     what=what,
@@ -137,7 +137,9 @@ class Samples:
         whole = self.solve(Purpose.CHECK)
         if isinstance(whole, HandEye):
             calibration = whole
-        return Finished(calibration, errors, (self._backlash(calibration, 0), self._backlash(calibration, 1)))
+        return CalibrationFinished(
+            calibration, errors, (self._backlash(calibration, 0), self._backlash(calibration, 1))
+        )
 
     def _backlash(self, calibration: HandEye, axis: int) -> Backlash | None:
         """Compare the carriage's positions after an approach from above and, close by, after one from below."""

@@ -46,7 +46,7 @@ FITTED = (Purpose.FIT, Purpose.X_BELOW, Purpose.Y_BELOW)
 """Purposes from which the calibration is solved: the controller approaches all of them from below."""
 
 
-class Stop(NamedTuple):
+class CalibrationStop(NamedTuple):
     """One goal of the run: readings x and y, and the height z in base_link; metres."""
 
     x: float
@@ -70,7 +70,9 @@ class Aims:
         """Return the targets' mean variance after samples at ``readings`` (N, 3), relative to one sample's."""
         return self._mean(self._information(readings))
 
-    def best(self, known: Array, sets: Sequence[Sequence[Stop]], seconds: Sequence[float] | None = None) -> int:
+    def best(
+        self, known: Array, sets: Sequence[Sequence[CalibrationStop]], seconds: Sequence[float] | None = None
+    ) -> int:
         """Return the index of the set of stops that reduces the variance most, or most per second.
 
         Parameters
@@ -97,12 +99,12 @@ class Aims:
         return float(np.mean(np.einsum("ai,ij,aj->a", self._aims, inverse, self._aims)))
 
 
-def readings_of(stops: Sequence[Stop]) -> Array:
+def readings_of(stops: Sequence[CalibrationStop]) -> Array:
     """Return the readings of stops, (N, 3) m."""
     return np.array([(s.x, s.y, -s.z) for s in stops]).reshape(-1, 3)
 
 
-def seconds(before: Stop | None, stops: Sequence[Stop]) -> float:
+def seconds(before: CalibrationStop | None, stops: Sequence[CalibrationStop]) -> float:
     """Return the approximate time to visit ``stops`` in order, coming from ``before``."""
     total = 0.0
     for stop in stops:
@@ -111,7 +113,7 @@ def seconds(before: Stop | None, stops: Sequence[Stop]) -> float:
     return total
 
 
-def _way_s(before: Stop | None, stop: Stop) -> float:
+def _way_s(before: CalibrationStop | None, stop: CalibrationStop) -> float:
     x, y, z = (0.0, 0.0, 0.0) if before is None else before[:3]
     way_m = float(np.hypot(stop.x - x, stop.y - y))
     if way_m == 0.0:
@@ -120,7 +122,7 @@ def _way_s(before: Stop | None, stop: Stop) -> float:
     return up_s + way_m / _TRAVEL_M_S + _HOP_S + down_s
 
 
-def shortest(groups: Sequence[Sequence[Stop]]) -> list[Stop]:
+def shortest(groups: Sequence[Sequence[CalibrationStop]]) -> list[CalibrationStop]:
     """Return all stops in a short order starting from readings zero: nearest first, then 2-opt.
 
     Each group keeps its own order. The last stop is a held-out position, from above: it shows a drive that slips late.

@@ -28,11 +28,11 @@ from harris_perception.core.hand_eye.tip_samples import Sample
 from harris_perception.core.hand_eye_procedure import calibration_run
 from harris_perception.core.hand_eye_procedure.calibration_in_use import CalibrationInUse
 from harris_perception.core.hand_eye_procedure.calibration_plan import check_plan, corners
-from harris_perception.core.hand_eye_procedure.calibration_run import CalibrationRun, Progress, SendGoal
-from harris_perception.core.hand_eye_procedure.calibration_solution import Failed, Finished
-from harris_perception.core.hand_eye_procedure.calibrator_actions import Action, Keep, Note, Refused, StateText
+from harris_perception.core.hand_eye_procedure.calibration_run import CalibrationRun, Progress, SendCalibrationGoal
+from harris_perception.core.hand_eye_procedure.calibration_solution import CalibrationFailed, CalibrationFinished
+from harris_perception.core.hand_eye_procedure.calibrator_actions import Action, Keep, LogNote, StateText
 from harris_perception.core.hand_eye_procedure.calibrator_config import CalibratorConfig
-from harris_perception.core.hand_eye_procedure.conditions import Conditions
+from harris_perception.core.hand_eye_procedure.conditions import CalibrationRefused, Conditions
 from harris_perception.core.hand_eye_procedure.still_watch import NO_READINGS, StillWatch
 from harris_perception.core.pose.planar_pose import FacePoints
 from harris_perception.core.stereo.pairing import Pairing
@@ -119,7 +119,7 @@ class Calibrator:
 
     def reject_file(self, reason: str) -> list[Action]:
         """Record that the file cannot be read."""
-        return [Note("error", reason), *self._state.set(because("failed", reason))]
+        return [LogNote("error", reason), *self._state.set(because("failed", reason))]
 
     def take_camera(self, side: str, camera: CameraModel, now_ns: int) -> list[Action]:
         """Set a camera that is new or has changed."""
@@ -233,8 +233,8 @@ class Calibrator:
             ball = np.array([0.0, 0.0, self.config.ball_radius_m])
             self.contacts.append(Contact(reading=reading, in_panel=point + ball))
             x, y, _ = point
-            return [Note("info", f"contact {len(self.contacts)} at {x:.4f}, {y:.4f} m of the panel")]
-        return [Note("error", f"contact refused: {why}")]
+            return [LogNote("info", f"contact {len(self.contacts)} at {x:.4f}, {y:.4f} m of the panel")]
+        return [LogNote("error", f"contact refused: {why}")]
 
     def take_driver(self, text: str, now_ns: int) -> list[Action]:
         """Set the driver's state."""
@@ -253,20 +253,20 @@ class Calibrator:
         """Process time-outs."""
         return [] if self._run is None else self._follow(self._run.tick(now_ns), now_ns)
 
-    # Requests; they raise Refused.
+    # Requests; they raise CalibrationRefused.
 
     def run(self, now_ns: int) -> list[Action]:
         """Start a calibration."""
         if self._run is not None:
-            raise Refused(Message("calibration.calibration_already_running"))
+            raise CalibrationRefused(Message("calibration.calibration_already_running"))
         if state_name(self.driver) != "idle":
             driver = quoted(as_message(self.driver))
-            raise Refused(Message("calibration.driver_says_connected_homed_idle", driver=driver))
+            raise CalibrationRefused(Message("calibration.driver_says_connected_homed_idle", driver=driver))
         cameras, config = self._conditions.pair(), self.config
         try:
             check_plan(config.run, config.solver)
         except DegenerateError as error:
-            raise Refused(Message("calibration.run_places_not_tell_calibration", error=error)) from error
+            raise CalibrationRefused(Message("calibration.run_places_not_tell_calibration", error=error)) from error
         self.samples.clear()
         self.panels.clear()
         # The controller still converts goals into readings with the calibration that it has.
@@ -278,26 +278,26 @@ class Calibrator:
     def add_sample(self, now_ns: int) -> str:
         """Add a sample of the tip, or the panel, at the present position; return a description for people."""
         if self._run is not None:
-            raise Refused(Message("calibration.calibration_running"))
+            raise CalibrationRefused(Message("calibration.calibration_running"))
         sample = self.watch.sample(now_ns)
         if self._on_carriage:
             panel = self.watch.panel_sample(now_ns)
             if isinstance(panel, str):
-                raise Refused(panel)
+                raise CalibrationRefused(panel)
             self.panels.append(panel)
             reading, count = panel.reading, len(self.panels)
         if isinstance(sample, Sample):
             self.samples.append(sample)
             reading, count = sample.reading, max(len(self.samples), len(self.panels))
         elif not self._on_carriage:
-            raise Refused(sample)
+            raise CalibrationRefused(sample)
         x, y, stylus = reading * 1e3
         return Message("calibration.sample_readings_stylus", count=count, x=x, y=y, stylus_mm=stylus)
 
     def solve(self, now_ns: int) -> list[Action]:
         """Calibrate from the added samples."""
         if self._run is not None:
-            raise Refused(Message("calibration.calibration_running"))
+            raise CalibrationRefused(Message("calibration.calibration_running"))
         cameras, solver = self._conditions.pair(), self.config.solver
         try:
             if self._on_carriage:
@@ -305,7 +305,7 @@ class Calibrator:
             else:
                 solved = calibrate(self.samples, cameras, solver)
         except DegenerateError as error:
-            raise Refused(str(error)) from error
+            raise CalibrationRefused(str(error)) from error
         found = self._describe(solved, np.empty(0), np.full((2, 2), np.nan), now_ns)
         self.contacts.clear()
         return self._in_use.use(found, solved, now_ns)
@@ -315,7 +315,7 @@ class Calibrator:
     def _follow(self, events: Iterable[calibration_run.Action], now_ns: int) -> list[Action]:
         actions: list[Action] = []
         for event in events:
-            if isinstance(event, SendGoal):
+            if isinstance(event, SendCalibrationGoal):
                 actions.append(event)
             elif isinstance(event, Progress):
                 self._progress = event
@@ -325,7 +325,7 @@ class Calibrator:
                     reason = Message("calibration.part_with_note", **values, note=event.note)
                 text = Message("calibration.progress", reason=reason)
                 actions += self._state.set(text)
-            elif isinstance(event, Failed):
+            elif isinstance(event, CalibrationFailed):
                 actions += self._fail_run(event.reason)
             else:
                 actions += self._finish(event, now_ns)
@@ -336,11 +336,11 @@ class Calibrator:
             return []
         self._run = None
         return [
-            Note("error", Message("calibration.failed", reason=reason)),
+            LogNote("error", Message("calibration.failed", reason=reason)),
             *self._state.set(because("failed", reason)),
         ]
 
-    def _finish(self, event: Finished, now_ns: int) -> list[Action]:
+    def _finish(self, event: CalibrationFinished, now_ns: int) -> list[Action]:
         self._run = None
         plays = [(float("nan"), float("nan")) if b is None else (b.play_m, b.sigma_m) for b in event.backlash]
         found = self._describe(event.calibration, event.held_out_m, np.array(plays), now_ns)

@@ -1,15 +1,11 @@
-"""Actions of the hand-eye node, as the calibrator orders them, and the rejection of a request."""
+"""Actions of the hand-eye node, as the calibrator orders them."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-from harris_perception.core.hand_eye_procedure.calibration_run import SendGoal
+from harris_perception.core.hand_eye_procedure.calibration_run import SendCalibrationGoal
 from icu_common.core.geometry.geometry import Array, Transform
-
-
-class Refused(ValueError):
-    """A request is rejected; the text gives the reason."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,14 +43,14 @@ class Keep:
 
 
 @dataclass(frozen=True, slots=True)
-class Note:
+class LogNote:
     """Write a log message; the level is ``info``, ``warn`` or ``error``."""
 
     level: str
     text: str
 
 
-Action = SendGoal | SetState | SetAxes | SetSigma | SetPose | Keep | Note
+Action = SendCalibrationGoal | SetState | SetAxes | SetSigma | SetPose | Keep | LogNote
 
 
 class StateText:

@@ -5,11 +5,14 @@ from __future__ import annotations
 from harris_perception.core.hand_eye.calibration_file import CalibrationFileError, StoredCalibration, check_fits
 from harris_perception.core.hand_eye.degeneracy import DegenerateError
 from harris_perception.core.hand_eye.machine_axes import check_axes, check_stylus
-from harris_perception.core.hand_eye_procedure.calibrator_actions import Refused
 from harris_perception.core.hand_eye_procedure.calibrator_config import CalibratorConfig
 from icu_common.core.geometry.camera_model import CameraModel, StereoModel
 from icu_common.core.geometry.geometry import Array
 from icu_common.core.reasons.message import Message
+
+
+class CalibrationRefused(ValueError):
+    """A request is rejected; the text gives the reason."""
 
 
 class Conditions:
@@ -25,16 +28,16 @@ class Conditions:
 
         Raises
         ------
-        Refused
+        CalibrationRefused
             If a camera is missing, or the two are no pair.
         """
         for side in ("left", "right"):
             if side not in self.cameras:
-                raise Refused(Message("calibration.no_camera_info_camera_arrived", side=side))
+                raise CalibrationRefused(Message("calibration.no_camera_info_camera_arrived", side=side))
         try:
             return StereoModel(left=self.cameras["left"], right=self.cameras["right"])
         except ValueError as error:
-            raise Refused(Message("calibration.camera_info", error=error)) from error
+            raise CalibrationRefused(Message("calibration.camera_info", error=error)) from error
 
     def check_fit(self, calibration: StoredCalibration, config: CalibratorConfig) -> None:
         """Reject a calibration that was made under other conditions.

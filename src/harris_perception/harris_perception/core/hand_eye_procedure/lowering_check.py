@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from harris_perception.core.hand_eye_procedure.calibration_tour import Stop
+from harris_perception.core.hand_eye_procedure.calibration_tour import CalibrationStop
 from icu_common.core.geometry.geometry import Array
 from icu_common.core.reasons.message import Message
 
@@ -25,10 +25,10 @@ class LoweringCheck:
 
     def __init__(self, max_scale_error: float, max_error_m: float) -> None:
         self._max_scale_error, self._max_error_m = max_scale_error, max_error_m
-        self._upper: tuple[Stop, Array] | None = None
+        self._upper: tuple[CalibrationStop, Array] | None = None
         self._wrong_ways = 0
 
-    def fault(self, stop: Stop, tip: Array) -> str:
+    def fault(self, stop: CalibrationStop, tip: Array) -> str:
         """Compare the tip (3,) m at a stop with that at the previous one; return the fault, or an empty text."""
         (above, before), self._upper = self._upper or (stop, tip), (stop, tip)
         way_m = above.z - stop.z

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from harris_perception.core.hand_eye_procedure.calibration_tour import Stop
+from harris_perception.core.hand_eye_procedure.calibration_tour import CalibrationStop
 from icu_common.core.geometry.geometry import Array, Transform
 from icu_common.core.reasons.message import Message
 
@@ -36,7 +36,7 @@ class PanelClearance:
         """Set the panel's pose, None while it is unseen, and the room that its tallest control and the ball take."""
         self._face, self._proud_m = camera_from_panel, proud_m
 
-    def measured(self, stop: Stop, camera_from_panel: Transform | None, tip: Array) -> None:
+    def measured(self, stop: CalibrationStop, camera_from_panel: Transform | None, tip: Array) -> None:
         """Add the tip (3,) m as seen at a stop, and the panel's pose, if it was measured there."""
         self._looks[stop.x, stop.y] = camera_from_panel, tip, stop.z
 
@@ -45,7 +45,7 @@ class PanelClearance:
         """Whether the tip was seen at any stop."""
         return bool(self._looks)
 
-    def _height(self, stop: Stop) -> tuple[float, float]:
+    def _height(self, stop: CalibrationStop) -> tuple[float, float]:
         """Return the homed tip's height above the panel at the nearest measured position, and the distance to it."""
         if not self._looks:
             return -np.inf, np.inf
@@ -56,7 +56,7 @@ class PanelClearance:
         assert face is not None
         return float(face.inverse().apply(tip)[2]) - z, float(np.hypot(x - stop.x, y - stop.y))
 
-    def room(self, stop: Stop) -> Stop | str | None:
+    def room(self, stop: CalibrationStop) -> CalibrationStop | str | None:
         """Return the stop, raised if there is less room; None: measure from above first; or why it is forbidden.
 
         Only known obstacles count: if the panel is not recognised, there is no limit.

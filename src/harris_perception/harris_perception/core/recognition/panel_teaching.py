@@ -181,7 +181,7 @@ class Lesson:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Request:
+class TeachingRequest:
     """A lesson received as a message: the id of its sender's request, and the stamp of its image."""
 
     goal_id: str
@@ -189,7 +189,7 @@ class Request:
     lesson: Lesson
 
 
-def parse_request(text: str) -> Request:
+def parse_request(text: str) -> TeachingRequest:
     """Read JSON: id, stamp (ns, as a text), model, title, size_mm, corners and controls.
 
     A control is [name, kind, u, v, width, height, height above the face]; pixels and mm.
@@ -220,7 +220,7 @@ def parse_request(text: str) -> Request:
             corners_px=np.array(given["corners"], dtype=np.float64),
             controls=tuple(pointed),
         )
-        return Request(goal_id=goal_id, stamp_ns=int(given["stamp"]), lesson=lesson)
+        return TeachingRequest(goal_id=goal_id, stamp_ns=int(given["stamp"]), lesson=lesson)
     except (KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
         reason = str(error)
         if not isinstance(error, TeachingError):

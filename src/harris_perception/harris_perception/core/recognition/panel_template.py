@@ -11,7 +11,16 @@ import numpy as np
 import numpy.typing as npt
 
 from icu_common.core.geometry.geometry import Array
-from icu_common.core.panel.panel_layout import Artwork, Circle, Control, Line, PanelLayout, Rectangle, Text, rgb
+from icu_common.core.panel.panel_layout import (
+    Artwork,
+    ArtworkCircle,
+    ArtworkLine,
+    ArtworkRectangle,
+    ArtworkText,
+    Control,
+    PanelLayout,
+    rgb,
+)
 from icu_common.core.panel.stroke_font import text_strokes
 from icu_common.core.reasons.message import Message
 
@@ -129,7 +138,7 @@ def panel_template(
             cv2.fillPoly(steady, [_polygon_px(outline_mm(control), gray.shape[0], px_per_mm)], 0, cv2.LINE_8, _SHIFT)
     exact = steady.copy()
     for item in layout.artwork if picture is None else ():
-        if isinstance(item, Text):
+        if isinstance(item, ArtworkText):
             cv2.fillPoly(exact, [_polygon_px(_text_box_mm(item), gray.shape[0], px_per_mm)], 0, cv2.LINE_8, _SHIFT)
     return PanelTemplate(
         gray=np.ascontiguousarray(gray, dtype=np.uint8),
@@ -140,7 +149,7 @@ def panel_template(
     )
 
 
-def _text_box_mm(item: Text) -> Array:
+def _text_box_mm(item: ArtworkText) -> Array:
     """Return the corners of a box that contains the text in any usual typeface."""
     lines = text_strokes(item.text, (0.0, 0.0), item.height_mm)
     half_width = max((float(np.abs(line[:, 0]).max()) for line in lines), default=0.0) * 1.25 + item.line_mm
@@ -205,15 +214,15 @@ class _Canvas:
         return np.rint(self.pixels).astype(np.uint8)
 
     def artwork(self, item: Artwork) -> None:
-        if isinstance(item, Rectangle):
+        if isinstance(item, ArtworkRectangle):
             x, y, width, height = item.rectangle_mm
             self.rectangle(x, y, width, height, item.fill)
             self.frame(x, y, width, height, item.outline, item.line_mm)
-        elif isinstance(item, Circle):
+        elif isinstance(item, ArtworkCircle):
             x, y, radius = item.circle_mm
             self.ring(x, y, -1.0, radius, item.fill)
             self.ring(x, y, radius - item.line_mm / 2, radius + item.line_mm / 2, item.outline)
-        elif isinstance(item, Line):
+        elif isinstance(item, ArtworkLine):
             x0, y0, x1, y1 = item.line_from_to_mm
             self.lines([np.array([(x0, y0), (x1, y1)])], item.colour, item.line_mm)
         else:

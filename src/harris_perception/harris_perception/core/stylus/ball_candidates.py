@@ -11,7 +11,7 @@ import numpy as np
 from harris_perception.core.image.medians import median
 from harris_perception.core.stylus.ball_view import Picture, chroma_of
 from harris_perception.core.stylus.image_windows import Window, cut
-from harris_perception.core.stylus.stylus_config import StylusConfig
+from harris_perception.core.stylus.stylus_config import StylusSearchConfig
 from icu_common.core.geometry.camera_model import CameraModel, StereoModel
 from icu_common.core.geometry.geometry import Array
 
@@ -37,7 +37,7 @@ class BallCandidates:
         The calibrated pair.
     """
 
-    def __init__(self, config: StylusConfig, stereo: StereoModel) -> None:
+    def __init__(self, config: StylusSearchConfig, stereo: StereoModel) -> None:
         self._config, self._stereo = config, stereo
 
     def regions(self, picture: Picture, window: Window, model: CameraModel) -> list[Blob]:

@@ -19,7 +19,7 @@ _MISFIT = 0.04
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Circle:
+class OutlineCircle:
     """A circle fitted to an outline: direction of its centre (3,), radius in px, visible arcs."""
 
     ray: Array

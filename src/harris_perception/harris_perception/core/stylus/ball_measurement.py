@@ -15,7 +15,7 @@ from harris_perception.core.image.medians import median
 from harris_perception.core.stylus.ball_candidates import Blob
 from harris_perception.core.stylus.ball_fit import (
     ARC_BINS,
-    Circle,
+    OutlineCircle,
     arc_bins,
     fit_circle,
     fit_shaded,
@@ -34,7 +34,7 @@ from harris_perception.core.stylus.ball_view import (
     mixed_chroma_of,
 )
 from harris_perception.core.stylus.image_windows import Window, surroundings
-from harris_perception.core.stylus.stylus_config import StylusConfig
+from harris_perception.core.stylus.stylus_config import StylusSearchConfig
 from harris_perception.pairing.search import Outline, Search
 from icu_common.core.geometry.camera_model import CameraModel, StereoModel
 from icu_common.core.geometry.geometry import Array
@@ -64,7 +64,7 @@ class BallMeter:
         The calibrated pair; it may be replaced by another calibration of the same pair.
     """
 
-    def __init__(self, config: StylusConfig, stereo: StereoModel) -> None:
+    def __init__(self, config: StylusSearchConfig, stereo: StereoModel) -> None:
         self._config, self.stereo = config, stereo
         self._coarse: deque[bool] = deque(maxlen=_COARSE_PAIRS)
         self._shared_rows: deque[bool] = deque(maxlen=_COARSE_PAIRS)
@@ -151,7 +151,9 @@ class BallMeter:
         pixel = self._pixel(frame.T @ np.array([*(offset / focal), 1.0]), model)
         return Outline(centre_px=pixel, error=fit.errors[1], arc_deg=circle.arc_deg)
 
-    def _outlined(self, colours: Picture, corner: Array, model: CameraModel, radius: float) -> tuple[BallView, Circle]:
+    def _outlined(
+        self, colours: Picture, corner: Array, model: CameraModel, radius: float
+    ) -> tuple[BallView, OutlineCircle]:
         """Measure the outline of one region in a crop (h, w, 3) and fit a circle to it.
 
         Next to a yellow or green object, the surrounding colours are extrapolated behind the ball. Of several candidate
@@ -178,7 +180,7 @@ class BallMeter:
 
     def _best(
         self, backgrounds: Sequence[tuple[Values, Values]], corner: Array, model: CameraModel, radius: float
-    ) -> tuple[tuple[BallView, Circle] | None, str]:
+    ) -> tuple[tuple[BallView, OutlineCircle] | None, str]:
         """Return outline and circle with the smallest error among values and backgrounds, or the reason for none."""
         best, least, doubt = None, np.inf, ""
         for values, around in backgrounds:
@@ -193,7 +195,7 @@ class BallMeter:
                 best, least = (view, circle), error
         return best, doubt
 
-    def _circle(self, view: BallView, radius: float) -> Circle:
+    def _circle(self, view: BallView, radius: float) -> OutlineCircle:
         """Fit a circle to the outline."""
         focal = self.stereo.focal_px
         frame = touching_frame(view.outline.mean(axis=0))
@@ -204,16 +206,16 @@ class BallMeter:
         used = weight > 0.2
         seen = np.zeros(ARC_BINS, dtype=bool)
         seen[arc_bins(at[used] - xyr[:2])] = True
-        return Circle(frame.T @ np.array([*(xyr[:2] / focal), 1.0]), float(xyr[2]), seen)
+        return OutlineCircle(frame.T @ np.array([*(xyr[:2] / focal), 1.0]), float(xyr[2]), seen)
 
-    def _checked(self, circle: Circle, radius: float, size: float = 1.0) -> Circle:
+    def _checked(self, circle: OutlineCircle, radius: float, size: float = 1.0) -> OutlineCircle:
         if circle.arc_deg < self._config.min_arc_deg:
             raise Doubt(f"only {circle.arc_deg:.0f} deg of the outline are visible")
         if abs(circle.radius / radius - 1) > size * self._config.max_size_error:
             raise Doubt(f"an outline of {circle.radius:.1f} px radius does not fit the expected {radius:.1f} px")
         return circle
 
-    def _refined(self, view: BallView, fit: Circle, radius: float, model: CameraModel) -> Outline:
+    def _refined(self, view: BallView, fit: OutlineCircle, radius: float, model: CameraModel) -> Outline:
         frame = touching_frame(fit.ray)
         at = in_plane(view.rays, frame, self.stereo.focal_px)
         offset, grown, error = fit_shaded(at, view, radius, fit.seen)

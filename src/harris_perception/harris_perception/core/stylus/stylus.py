@@ -17,7 +17,7 @@ from harris_perception.core.stylus.ball_measurement import BallMeter
 from harris_perception.core.stylus.ball_view import Doubt, Picture
 from harris_perception.core.stylus.image_windows import Window, around
 from harris_perception.core.stylus.still_ball import StillBall
-from harris_perception.core.stylus.stylus_config import StylusConfig
+from harris_perception.core.stylus.stylus_config import StylusSearchConfig
 from harris_perception.pairing.search import Search
 from icu_common.core.geometry.camera_model import StereoModel
 from icu_common.core.geometry.geometry import Array
@@ -42,7 +42,7 @@ class StylusTracker:
         The calibrated pair.
     """
 
-    def __init__(self, config: StylusConfig, stereo: StereoModel) -> None:
+    def __init__(self, config: StylusSearchConfig, stereo: StereoModel) -> None:
         self.config, self.stereo = config, stereo
         self._candidates = BallCandidates(config, stereo)
         self._meter = BallMeter(config, stereo)

@@ -11,7 +11,7 @@ from icu_common.core.configuration.config import nested, setting
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class StylusConfig(DepthRange):
+class StylusSearchConfig(DepthRange):
     """Settings of the stylus tracker."""
 
     ball_diameter_m: float = setting(

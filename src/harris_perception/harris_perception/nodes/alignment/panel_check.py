@@ -17,7 +17,7 @@ from harris_perception.core.alignment.layout_watch import LayoutWatch, text_of
 from harris_perception.core.alignment.pair_watch import PairWatch
 from harris_perception.core.recognition.face_measurement import FaceMeter
 from harris_perception.core.recognition.recognition import RecognitionConfig, face_meter
-from harris_perception.core.stylus.stylus_config import StylusConfig
+from harris_perception.core.stylus.stylus_config import StylusSearchConfig
 from icu_common.core.alignment.pair import PairCode, PairState
 from icu_common.core.geometry.camera_model import StereoModel
 from icu_common.core.geometry.frames import CAMERA_LEFT
@@ -47,7 +47,7 @@ class PanelCheck:
         Called with the pair's calibration when its correction has changed.
     """
 
-    def __init__(self, node: Node, config: StylusConfig, on_change: Callable[[StereoModel], None]) -> None:
+    def __init__(self, node: Node, config: StylusSearchConfig, on_change: Callable[[StereoModel], None]) -> None:
         self._node, self._config, self._on_change = node, config, on_change
         self._layout: PanelLayout | None = None
         self._picture: npt.NDArray[Any] | None = None
@@ -76,7 +76,7 @@ class PanelCheck:
         """State of the right camera."""
         return PairState() if self._pair is None else self._pair.state
 
-    def use(self, config: StylusConfig, cameras: StereoModel | None) -> None:
+    def use(self, config: StylusSearchConfig, cameras: StereoModel | None) -> None:
         """Apply new settings or a new calibration of the cameras."""
         self._config, self._cameras = config, cameras
         self._pair = self._controls = None

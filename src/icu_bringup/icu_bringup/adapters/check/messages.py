@@ -9,7 +9,7 @@ from pathlib import Path
 from icu_bringup.adapters.bag.bag_reader import BagReader
 from icu_bringup.adapters.bag.bag_writer import BagWriter
 from icu_bringup.adapters.bag.bags import BagTopic
-from icu_bringup.core.check.comparison import Message, TopicMessages
+from icu_bringup.core.check.comparison import ComparedMessage, TopicMessages
 from icu_bringup.core.check.values import Kind, Value, stamp_ns, values_of
 from icu_common.core.configuration.text_bounds import plain
 
@@ -24,11 +24,11 @@ def read_messages(path: Path, topics: Collection[str] | None = None) -> dict[str
     """
     with BagReader(path) as bag:
         types = {topic.name: topic.type for topic in bag.topics if topics is None or topic.name in topics}
-        found: dict[str, list[Message]] = {name: [] for name in types}
+        found: dict[str, list[ComparedMessage]] = {name: [] for name in types}
         for topic, _, data in bag.messages(list(types)):
             message = bag.decode(data, types[topic])
             values = {path: _printable(value) for path, value in values_of(message).items()}
-            found[topic].append(Message(stamp_ns=stamp_ns(message), values=values))
+            found[topic].append(ComparedMessage(stamp_ns=stamp_ns(message), values=values))
     return {name: TopicMessages(type=types[name], messages=tuple(messages)) for name, messages in found.items()}
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from icu_bringup.adapters.bag.bag_pictures import COMPRESSED, IMAGE, PictureCodec
 from icu_bringup.adapters.bag.bag_reader import BagReader
-from icu_bringup.core.check.comparison import Message, Row, TopicMessages
+from icu_bringup.core.check.comparison import ComparedMessage, Row, TopicMessages
 from icu_bringup.core.check.values import PIXELS, Kind, Value, columns, coordinates, stamp_ns, values_of
 from icu_common.core.geometry.geometry import Array
 
@@ -48,7 +48,7 @@ def draw(
 
 
 def _value(topic: TopicMessages, row: Row) -> Value | None:
-    message: Message | None = next((m for m in topic.messages if m.stamp_ns == row.at), None)
+    message: ComparedMessage | None = next((m for m in topic.messages if m.stamp_ns == row.at), None)
     return message.values.get(row.field) if message is not None else None
 
 

@@ -17,7 +17,7 @@ _SHOWN = 60
 
 
 @dataclass(frozen=True, slots=True)
-class Message:
+class ComparedMessage:
     """One message of a bag.
 
     Attributes
@@ -37,7 +37,7 @@ class TopicMessages:
     """All messages of a topic, in the order in which they were recorded."""
 
     type: str
-    messages: Sequence[Message] = field(default_factory=tuple)
+    messages: Sequence[ComparedMessage] = field(default_factory=tuple)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -124,7 +124,9 @@ def _count_row(name: str, topic: TopicExpectation, new: TopicMessages) -> Row:
     )
 
 
-def matched(old: Sequence[Message], new: Sequence[Message], every: int = 1) -> list[tuple[Message, Message | None]]:
+def matched(
+    old: Sequence[ComparedMessage], new: Sequence[ComparedMessage], every: int = 1
+) -> list[tuple[ComparedMessage, ComparedMessage | None]]:
     """Return each expected message with the matching one: of equal stamp, or of equal position without stamps.
 
     Only each ``every``-th of the expected messages was kept.
@@ -174,8 +176,10 @@ def generic(path: str) -> str:
     return parts[0] + "".join("[*]" + part.partition("]")[2] for part in parts[1:])
 
 
-def _one_field(name: str, path: str, tolerance: Tolerance, pairs: Sequence[tuple[Message, Message]]) -> list[Row]:
-    worst: tuple[Difference, Message, Value | None, Value | None] | None = None
+def _one_field(
+    name: str, path: str, tolerance: Tolerance, pairs: Sequence[tuple[ComparedMessage, ComparedMessage]]
+) -> list[Row]:
+    worst: tuple[Difference, ComparedMessage, Value | None, Value | None] | None = None
     differing = compared = 0
     for before, after in pairs:
         old, new = before.values.get(path), after.values.get(path)

@@ -22,7 +22,7 @@ _LISTS, _MAPPINGS = ("parameters", "arguments", "only", "simulated_by"), ("set",
 _ADDABLE = {"parameters", "set", "remap", "arguments", "waits_for"}
 
 
-class GraphError(ValueError):
+class GraphDescriptionError(ValueError):
     """graph.yaml is wrong; the message names the program and the key."""
 
 
@@ -95,9 +95,9 @@ class Program:
 
 
 def check_namespace(namespace: str) -> None:
-    """Raise :class:`GraphError` unless the text is empty or a ROS namespace, as it is also the name of a folder."""
+    """Raise :class:`GraphDescriptionError` unless the text is empty or a ROS namespace; it also names a folder."""
     if namespace and not _NAMESPACE.fullmatch(namespace):
-        raise GraphError(
+        raise GraphDescriptionError(
             f"namespace {namespace}; expected names of letters, digits and _, each with a letter first, "
             "with / between them"
         )
@@ -108,7 +108,7 @@ def simulators(config: Path, profile: str) -> list[str]:
 
     Raises
     ------
-    GraphError
+    GraphDescriptionError
         As of :func:`load_graph`.
     """
     document = _read(config / "graph.yaml", yaml.load)
@@ -148,7 +148,7 @@ def load_graph(
 
     Raises
     ------
-    GraphError
+    GraphDescriptionError
         For invalid YAML, unknown and repeated keys, unknown profiles and scopes, and parameter files that do not
         exist or have values for a node that does not read them.
     """
@@ -159,7 +159,9 @@ def load_graph(
     scope = scope or document["scope"]
     models = sorted(p.stem for p in (config / "scopes").glob("*.yaml"))
     if scope not in models:
-        raise GraphError(f"scope {scope!r} is none of the models in {config / 'scopes'}: {', '.join(models)}")
+        raise GraphDescriptionError(
+            f"scope {scope!r} is none of the models in {config / 'scopes'}: {', '.join(models)}"
+        )
     layout = config / "scopes" / f"{scope}.yaml"
     words = {"$(config)": str(config), "$(run)": str(run), "$(state)": str(state), "$(scope)": str(layout)}
     room_file = _room_file(config, document, profile, room)
@@ -177,7 +179,7 @@ def load_graph(
         files = [config / f.replace("$(room)", room_file) for f in named]
         for path in files:
             if not path.is_file():
-                raise GraphError(f"{name}: parameter file {path} does not exist")
+                raise GraphDescriptionError(f"{name}: parameter file {path} does not exist")
         remap = {source: target for part in parts for source, target in part.get("remap", {}).items()}
         shared = [document["profiles"][p] for p in chain] if entry.get("ros", True) else []
         values = {key: value for part in (*shared, *parts) for key, value in part.get("set", {}).items()}
@@ -208,9 +210,11 @@ def _room_file(config: Path, document: Any, profile: str, room: str) -> str:
     chosen = room or [document.get("room", ""), *of_profile][-1]
     rooms = sorted(p.stem for p in (config / "rooms").glob("*.yaml"))
     if chosen and chosen not in rooms:
-        raise GraphError(f"room {chosen!r} is none of the rooms in {config / 'rooms'}: {', '.join(rooms)}")
+        raise GraphDescriptionError(f"room {chosen!r} is none of the rooms in {config / 'rooms'}: {', '.join(rooms)}")
     if room and not any("simulated_by" in document["profiles"][p] for p in chain):
-        raise GraphError(f"room {room!r}: profile {profile} has no simulated bench that could stand in a room")
+        raise GraphDescriptionError(
+            f"room {room!r}: profile {profile} has no simulated bench that could stand in a room"
+        )
     return f"rooms/{chosen}.yaml"
 
 
@@ -220,11 +224,11 @@ def _read(path: Path, parse: Callable[..., Any]) -> Any:
     except RepeatedKey as error:
         # Other loaders, including rcl's, silently keep the last of equal keys.
         line, name = error.key.start_mark.line + 1, error.key.value
-        raise GraphError(f"{path.name}:{line}: {name!r} stands here a second time") from error
+        raise GraphDescriptionError(f"{path.name}:{line}: {name!r} stands here a second time") from error
     except UNREADABLE as error:
-        raise GraphError(f"{path.name}:{mistake(error)}") from error
+        raise GraphDescriptionError(f"{path.name}:{mistake(error)}") from error
     except UnicodeDecodeError as error:
-        raise GraphError(f"{path.name}: {error}") from error
+        raise GraphDescriptionError(f"{path.name}: {error}") from error
 
 
 def _refuse_unread_values(programs: Sequence[Program]) -> None:
@@ -233,13 +237,15 @@ def _refuse_unread_values(programs: Sequence[Program]) -> None:
         readers = [str(PurePosixPath(p.namespace) / p.name) for p in programs if path in p.parameter_files]
         root = _read(path, yaml.compose)
         if root is not None and not isinstance(root, yaml.MappingNode):
-            raise GraphError(f"{path.name}:1; expected a mapping of nodes to their ros__parameters")
+            raise GraphDescriptionError(f"{path.name}:1; expected a mapping of nodes to their ros__parameters")
         for key, _ in root.value if root is not None else ():
             at = f"{path.name}:{key.start_mark.line + 1}"
             if not isinstance(key, yaml.ScalarNode):
-                raise GraphError(f"{at}: a node's name is needed, not a list or mapping")
+                raise GraphDescriptionError(f"{at}: a node's name is needed, not a list or mapping")
             if not any(_pattern(key.value).fullmatch(reader) for reader in readers):
-                raise GraphError(f"{at}: {key.value} is none of the nodes that read this file: {', '.join(readers)}")
+                raise GraphDescriptionError(
+                    f"{at}: {key.value} is none of the nodes that read this file: {', '.join(readers)}"
+                )
 
 
 def _pattern(node: str) -> re.Pattern[str]:
@@ -251,9 +257,9 @@ def _pattern(node: str) -> re.Pattern[str]:
 def _chain(profiles: Mapping[str, Any], profile: str, above: tuple[str, ...] = ()) -> list[str]:
     """Return the profile and those that it extends, the most general first."""
     if profile not in profiles:
-        raise GraphError(f"profile {profile!r} is none of {', '.join(profiles)}")
+        raise GraphDescriptionError(f"profile {profile!r} is none of {', '.join(profiles)}")
     if profile in above:
-        raise GraphError(f"profile {profile} extends itself")
+        raise GraphDescriptionError(f"profile {profile} extends itself")
     base = profiles[profile].get("extends")
     return [*(_chain(profiles, base, (*above, profile)) if base else []), profile]
 
@@ -261,54 +267,54 @@ def _chain(profiles: Mapping[str, Any], profile: str, above: tuple[str, ...] = (
 def _check_form(document: Any) -> None:
     for key in ("scope", "profiles", "programs"):
         if not isinstance(document, dict) or key not in document:
-            raise GraphError(f"graph.yaml: {key} is missing")
+            raise GraphDescriptionError(f"graph.yaml: {key} is missing")
     _check_kinds("graph.yaml", {key: document[key] for key in ("scope", "room") if key in document})
     for group in ("profiles", "programs"):
         if not isinstance(document[group], dict):
-            raise GraphError(f"graph.yaml: {group} = {document[group]!r}; expected a mapping")
+            raise GraphDescriptionError(f"graph.yaml: {group} = {document[group]!r}; expected a mapping")
         for name, entry in document[group].items():
             if not isinstance(entry, dict):
-                raise GraphError(f"graph.yaml: {group}: {name}; expected a mapping")
+                raise GraphDescriptionError(f"graph.yaml: {group}: {name}; expected a mapping")
     for name, entry in document["profiles"].items():
         if unknown := set(entry) - _PROFILE_KEYS:
             known = ", ".join(sorted(_PROFILE_KEYS))
-            raise GraphError(f"profile {name}: unknown key {', '.join(sorted(unknown))}; known: {known}")
+            raise GraphDescriptionError(f"profile {name}: unknown key {', '.join(sorted(unknown))}; known: {known}")
         _check_kinds(f"profile {name}", entry)
 
 
 def _check_kinds(place: str, entry: Mapping[str, Any]) -> None:
     for key in (key for key in _TEXTS if key in entry):
         if not isinstance(entry[key], str):
-            raise GraphError(f"{place}: {key} = {entry[key]!r}; expected a text")
+            raise GraphDescriptionError(f"{place}: {key} = {entry[key]!r}; expected a text")
     for key in (key for key in _LISTS if key in entry):
         if not isinstance(entry[key], list) or not all(isinstance(text, str) for text in entry[key]):
-            raise GraphError(f"{place}: {key} = {entry[key]!r}; expected a list of texts")
+            raise GraphDescriptionError(f"{place}: {key} = {entry[key]!r}; expected a list of texts")
     for key in (key for key in _MAPPINGS if key in entry):
         if not isinstance(entry[key], dict):
-            raise GraphError(f"{place}: {key} = {entry[key]!r}; expected a mapping")
+            raise GraphDescriptionError(f"{place}: {key} = {entry[key]!r}; expected a mapping")
 
 
 def _check_keys(name: str, entry: Mapping[str, Any], profiles: list[str]) -> None:
     for key in ("package", "executable"):
         if key not in entry:
-            raise GraphError(f"{name}: {key} is missing")
+            raise GraphDescriptionError(f"{name}: {key} is missing")
     unknown = set(entry) - _KEYS - _ADDABLE
     if unknown:
-        raise GraphError(
+        raise GraphDescriptionError(
             f"{name}: unknown key {', '.join(sorted(unknown))}; known: {', '.join(sorted(_KEYS | _ADDABLE))}"
         )
     _check_kinds(name, entry)
     for profile in entry.get("only", ()):
         if profile not in profiles:
-            raise GraphError(f"{name}: only {profile!r}: the profiles are {', '.join(profiles)}")
+            raise GraphDescriptionError(f"{name}: only {profile!r}: the profiles are {', '.join(profiles)}")
     for profile, addition in entry.get("when", {}).items():
         if profile not in profiles:
-            raise GraphError(f"{name}: when {profile!r}: the profiles are {', '.join(profiles)}")
+            raise GraphDescriptionError(f"{name}: when {profile!r}: the profiles are {', '.join(profiles)}")
         if not isinstance(addition, dict):
-            raise GraphError(f"{name}: when {profile} = {addition!r}; expected a mapping")
+            raise GraphDescriptionError(f"{name}: when {profile} = {addition!r}; expected a mapping")
         _check_kinds(f"{name}: when {profile}", addition)
         if set(addition) - _ADDABLE:
-            raise GraphError(f"{name}: when {profile}: only {', '.join(sorted(_ADDABLE))} can be added")
+            raise GraphDescriptionError(f"{name}: when {profile}: only {', '.join(sorted(_ADDABLE))} can be added")
 
 
 def _fill(value: Any, words: Mapping[str, str]) -> Any:

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from icu_common.core.processes.preparation import Cause, Report, Stage
+from icu_common.core.processes.preparation import PreparationCause, PreparationReport, PreparationStage
 
 _STEPS = {
-    Stage.CONNECTING: "connecting to the driver",
-    Stage.ENABLING: "enabling the machine",
-    Stage.HOMING: "homing",
-    Stage.CAMERAS: "waiting for the cameras",
-    Stage.CALIBRATING: "calibrating",
-    Stage.CONTROLLER: "waiting for the controller",
-    Stage.READY: "ready",
+    PreparationStage.CONNECTING: "connecting to the driver",
+    PreparationStage.ENABLING: "enabling the machine",
+    PreparationStage.HOMING: "homing",
+    PreparationStage.CAMERAS: "waiting for the cameras",
+    PreparationStage.CALIBRATING: "calibrating",
+    PreparationStage.CONTROLLER: "waiting for the controller",
+    PreparationStage.READY: "ready",
 }
 AUTOMATIC_REPEATS = 2
 """Maximum number of preparations that bring-up repeats automatically after one that only took too long."""
@@ -59,7 +59,7 @@ def starting(ready: int, total: int) -> Status:
     return Status(text=f"starting {ready}/{total}", done=ready, total=total)
 
 
-def preparing(report: Report, left_s: int | None) -> Status:
+def preparing(report: PreparationReport, left_s: int | None) -> Status:
     """Return the line for a report of the preparation."""
     text = _STEPS.get(report.stage, report.stage.value)
     if not report.total:
@@ -69,11 +69,11 @@ def preparing(report: Report, left_s: int | None) -> Status:
     return Status(text=f"{text} {report.done}/{report.total}{missed}{left}", done=report.done, total=report.total)
 
 
-def failure(report: Report) -> str:
+def failure(report: PreparationReport) -> str:
     """Return the sentence that states what failed."""
     if report.failed_at is None:
         return f"The preparation failed: {report.text}"
-    late = "took too long" if report.cause is Cause.TIMED_OUT else "failed"
+    late = "took too long" if report.cause is PreparationCause.TIMED_OUT else "failed"
     return f"The preparation {late} while {_STEPS[report.failed_at]}: {report.text}"
 
 
@@ -84,6 +84,6 @@ def next_step(*, key: bool, page: bool) -> str:
     return f"To repeat it, {what}. All programs keep running."
 
 
-def repeats_by_itself(report: Report, repeats: int) -> bool:
+def repeats_by_itself(report: PreparationReport, repeats: int) -> bool:
     """Return whether bring-up repeats the preparation automatically: it took too long, and no node rejected it."""
-    return report.cause is Cause.TIMED_OUT and repeats < AUTOMATIC_REPEATS
+    return report.cause is PreparationCause.TIMED_OUT and repeats < AUTOMATIC_REPEATS

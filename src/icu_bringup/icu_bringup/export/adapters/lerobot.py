@@ -18,7 +18,7 @@ from icu_bringup.adapters.bag.bags import BagError
 from icu_bringup.export.adapters.pictures import as_file, pixels
 from icu_bringup.export.adapters.reading import kinds_of
 from icu_bringup.export.core.frames import Episode, episodes, held, picture_statistics, statistics
-from icu_bringup.export.core.session import Session
+from icu_bringup.export.core.session import RecordedSession
 
 VERSION, PER_CHUNK = "v3.0", 1000
 DATA = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
@@ -47,7 +47,7 @@ class Dataset:
         If the bag lacks data that every dataset needs, or the images of a camera differ in size.
     """
 
-    def __init__(self, folder: Path, session: Session, fps: int, cameras: dict[str, str]) -> None:
+    def __init__(self, folder: Path, session: RecordedSession, fps: int, cameras: dict[str, str]) -> None:
         self._folder, self._session, self._fps, self._cameras = folder, session, fps, cameras
         self._shapes: dict[str, tuple[int, int, int]] = {}
         self._samples: dict[str, list[np.ndarray]] = {name: [] for name in cameras.values()}

@@ -12,7 +12,7 @@ from rosbags.serde import SerdeError
 from icu_bringup.adapters.bag.bag_pictures import COMPRESSED, IMAGE, SUFFIX
 from icu_bringup.adapters.bag.bag_reader import BagReader
 from icu_bringup.adapters.bag.bags import BagError
-from icu_bringup.export.core.session import TOPICS, Session
+from icu_bringup.export.core.session import TOPICS, RecordedSession
 
 LIBRARIES = {"pyarrow": "pyarrow>=18", "rerun": "rerun-sdk==0.41.0"}
 """Module and requirement for pip, as in the extra ``export`` of setup.py. The interface of rerun changes."""
@@ -55,12 +55,12 @@ def decoded(bag: BagReader, topics: set[str], start_ns: int = 0, stop_ns: int = 
         yield topic, received_ns, message
 
 
-def session_of(bag: BagReader, namespace: str = "", topics: Collection[str] = tuple(TOPICS)) -> Session:
+def session_of(bag: BagReader, namespace: str = "", topics: Collection[str] = tuple(TOPICS)) -> RecordedSession:
     """Return the session of the robot in a namespace, which begins with / unless it is empty.
 
     ``topics`` are the topics to read, without the namespace.
     """
-    session, kinds = Session(), kinds_of(bag)
+    session, kinds = RecordedSession(), kinds_of(bag)
     wanted = {namespace + topic for topic in topics if kinds.get(namespace + topic) == TOPICS[topic]}
     for topic, received_ns, message in decoded(bag, wanted):
         session.take(topic.removeprefix(namespace), received_ns, message)

@@ -8,7 +8,7 @@ from typing import Any
 
 from icu_bringup.adapters.bag.bag_reader import BagReader
 from icu_bringup.export.adapters.reading import decoded, kinds_of
-from icu_bringup.export.core.session import Session
+from icu_bringup.export.core.session import RecordedSession
 
 TEXT, EMPTY = "std_msgs/msg/String", "std_msgs/msg/Empty"
 NUMBER, POINT = "std_msgs/msg/Float32", "geometry_msgs/msg/PointStamped"
@@ -16,7 +16,7 @@ ANSWERS = "diagnostic_msgs/msg/DiagnosticArray"
 EVENTS = (TEXT, EMPTY, NUMBER, POINT, ANSWERS)
 
 
-def write_tables(bag: BagReader, session: Session, folder: Path) -> dict[str, int]:
+def write_tables(bag: BagReader, session: RecordedSession, folder: Path) -> dict[str, int]:
     """Write states.parquet, events.parquet and goals.parquet; return the rows of each."""
     import pyarrow as pa
     import pyarrow.parquet as pq

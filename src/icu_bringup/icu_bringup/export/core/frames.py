@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from icu_bringup.export.core.session import Array, RecordedGoal, Session
+from icu_bringup.export.core.session import Array, RecordedGoal, RecordedSession
 from icu_common.core.goals.results import Outcome
 
 
@@ -24,7 +24,7 @@ class Episode:
         return self.goal.outcome == Outcome.REACHED.value
 
 
-def episodes(session: Session, fps: int) -> list[Episode]:
+def episodes(session: RecordedSession, fps: int) -> list[Episode]:
     """Return the episodes of a session in order of time; rejected and unanswered goals have none."""
     found = []
     for goal in session.goals:

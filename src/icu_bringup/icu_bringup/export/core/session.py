@@ -61,7 +61,7 @@ class RecordedGoal:
 
 
 @dataclass(slots=True, kw_only=True)
-class Motion:
+class RecordedMotion:
     """One trajectory: positions (N, joints) in metres, due at times (N,) in seconds after ``begun_ns``."""
 
     goal_id: str
@@ -73,14 +73,14 @@ class Motion:
 
 
 @dataclass(slots=True)
-class Session:
+class RecordedSession:
     """Collects the messages of :data:`TOPICS` in the order of time."""
 
     joint_names: tuple[str, ...] = ()
     times_ns: list[int] = field(default_factory=list)
     positions_m: list[Array] = field(default_factory=list)
     goals: list[RecordedGoal] = field(default_factory=list)
-    motions: list[Motion] = field(default_factory=list)
+    motions: list[RecordedMotion] = field(default_factory=list)
 
     def take(self, topic: str, received_ns: int, message: Any) -> None:
         """Process a message as decoded by rosbags; ``topic`` is without its robot's namespace."""
@@ -124,7 +124,7 @@ class Session:
         order = [list(message.joint_names).index(name) for name in self.joint_names]
         stamp = message.header.stamp
         self.motions.append(
-            Motion(
+            RecordedMotion(
                 goal_id=read_frame(message.header.frame_id, stamp.sec * 10**9 + stamp.nanosec)[0],
                 begun_ns=received_ns,
                 times_s=np.array([p.time_from_start.sec + p.time_from_start.nanosec / 1e9 for p in message.points]),

@@ -14,6 +14,8 @@ import stat
 import tempfile
 from pathlib import Path
 
+from icu_common.core.configuration.text_bounds import plain
+
 STOP_BYTES = 200
 """Maximum size of a reason in bytes."""
 
@@ -59,9 +61,9 @@ def open_stop_socket(path: Path) -> socket.socket:
 
 
 def received_stop(stops: socket.socket) -> str | None:
-    """Return the reason of the next waiting stop, None if there is none."""
+    """Return the reason of the next waiting stop, cut and escaped; None if there is none."""
     with contextlib.suppress(BlockingIOError):
-        return stops.recv(STOP_BYTES).decode("ascii", "replace")
+        return plain(stops.recv(STOP_BYTES).decode("ascii", "replace"))
     return None
 
 

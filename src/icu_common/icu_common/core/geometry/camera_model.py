@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 import yaml
 
+from icu_common.core.configuration.yaml_text import UNREADABLE, Loader
 from icu_common.core.geometry.geometry import Array
 
 _STANDS_STILL = 1e-4
@@ -183,8 +184,8 @@ class CameraModel:
             If it is not YAML, lacks a key, a matrix has the wrong size, or the distortion model is not plumb_bob.
         """
         try:
-            return cls.from_mapping(yaml.safe_load(path.read_text(encoding="utf-8")))
-        except (KeyError, TypeError, ValueError, OverflowError, yaml.YAMLError) as error:
+            return cls.from_mapping(yaml.load(path.read_text(encoding="utf-8"), Loader))
+        except (KeyError, TypeError, ValueError, OverflowError, *UNREADABLE) as error:
             raise ValueError(f"{path}: not a camera calibration: {error!r}") from error
 
     @classmethod

@@ -10,7 +10,7 @@ from __future__ import annotations
 import difflib
 import math
 import re
-from collections.abc import Sequence as Sequence_
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -36,7 +36,7 @@ class SequenceError(ValueError):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Check:
+class StepCheck:
     """Expected observation after a step; ``kind`` is effect, screen, lamp or angle."""
 
     kind: str
@@ -48,11 +48,11 @@ class Check:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Step:
+class SequenceStep:
     """One gesture and its checks; with ``within_s`` NaN the configuration decides."""
 
     gesture: str
-    checks: tuple[Check, ...] = ()
+    checks: tuple[StepCheck, ...] = ()
     within_s: float = math.nan
 
     def text(self) -> str:
@@ -62,10 +62,10 @@ class Step:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Sequence:
+class GestureSequence:
     """Steps in their order."""
 
-    steps: tuple[Step, ...]
+    steps: tuple[SequenceStep, ...]
     name: str = ""
 
     def text(self) -> str:
@@ -78,7 +78,7 @@ class Sequence:
         return yaml.safe_dump({**named, "steps": entries}, sort_keys=False, width=10**6, allow_unicode=True)
 
 
-def parse_steps(texts: Sequence_[str]) -> Sequence:
+def parse_steps(texts: Sequence[str]) -> GestureSequence:
     """Read steps as given on a command line.
 
     Raises
@@ -89,7 +89,7 @@ def parse_steps(texts: Sequence_[str]) -> Sequence:
     return _sequence([(Message("sequence.place", number=number), text) for number, text in enumerate(texts, 1)], "")
 
 
-def parse_file(text: str, file_name: str = "sequence") -> Sequence:
+def parse_file(text: str, file_name: str = "sequence") -> GestureSequence:
     """Read the text of a file.
 
     Raises
@@ -103,7 +103,7 @@ def parse_file(text: str, file_name: str = "sequence") -> Sequence:
         raise SequenceError(f"{file_name}:{mistake(error)}") from error
 
 
-def unfit(sequence: Sequence, seen: PanelSeen) -> str:
+def unfit(sequence: GestureSequence, seen: PanelSeen) -> str:
     """Return the step that the visible panel can never fulfil, and why; empty if it may fulfil all steps.
 
     Call it before the first step: otherwise the earlier steps, or a touch whose check must fail, would be carried out.
@@ -131,7 +131,7 @@ def _unfit_gesture(gesture: Gesture, seen: PanelSeen) -> str:
     return _unfit_mark(control, gesture.mark) if gesture.mark else ""
 
 
-def _unfit_check(check: Check, seen: PanelSeen) -> str:
+def _unfit_check(check: StepCheck, seen: PanelSeen) -> str:
     if check.kind == "screen":
         return "" if any(c.kind == "touch_area" for c in seen.controls) else Message("sequence.panel_no_screen")
     if not check.control:
@@ -164,7 +164,7 @@ def _missing(name: str, seen: PanelSeen) -> str:
     return Message("sequence.panel_no_nearest", name=name, near=", ".join(near))
 
 
-def _sequence_of(root: yaml.Node | None, file_name: str) -> Sequence:
+def _sequence_of(root: yaml.Node | None, file_name: str) -> GestureSequence:
     if not isinstance(root, yaml.MappingNode):
         raise SequenceError(Message("sequence.n_1_mapping_steps_needed", file_name=file_name))
     entries: list[tuple[str, Any]] = []
@@ -189,13 +189,13 @@ def _sequence_of(root: yaml.Node | None, file_name: str) -> Sequence:
     return _sequence(entries, name)
 
 
-def _sequence(entries: Sequence_[tuple[str, Any]], name: str) -> Sequence:
+def _sequence(entries: Sequence[tuple[str, Any]], name: str) -> GestureSequence:
     if not 0 < len(entries) <= MAX_STEPS:
         raise SequenceError(Message("sequence.steps_1_needed", entries=len(entries), max_steps=MAX_STEPS))
-    return Sequence(steps=tuple(_step(place, entry) for place, entry in entries), name=name)
+    return GestureSequence(steps=tuple(_step(place, entry) for place, entry in entries), name=name)
 
 
-def _step(place: str, entry: Any) -> Step:
+def _step(place: str, entry: Any) -> SequenceStep:
     if isinstance(entry, dict):
         unknown = set(entry) - {"do", "check", "within_s"}
         if unknown or not isinstance(entry.get("do"), str):
@@ -227,14 +227,14 @@ def _step(place: str, entry: Any) -> Step:
         raise SequenceError(f"{place}: {error}") from error
     if parsed.id:
         raise SequenceError(Message("sequence.ids_given_sequencer", place=place, gesture=quoted(gesture.strip())))
-    return Step(gesture=parsed.text(), checks=tuple(_check(place, t.strip()) for t in texts), within_s=within_s)
+    return SequenceStep(gesture=parsed.text(), checks=tuple(_check(place, t.strip()) for t in texts), within_s=within_s)
 
 
-def _check(place: str, text: str) -> Check:
+def _check(place: str, text: str) -> StepCheck:
     found = _CHECK.match(text)
     if found is None:
         known = Message("sequence.effect_screen_lamp_name_colour")
         raise SequenceError(Message("sequence.check_none", place=place, text=quoted(text), known=known))
     if found[2] == "lamp" and found[4] not in LAMPS:
         raise SequenceError(Message("sequence.lamp_none", place=place, found=quoted(found[4]), lamps=", ".join(LAMPS)))
-    return Check(kind=found[1] or found[2], control=found[3] or "", value=found[4] or "")
+    return StepCheck(kind=found[1] or found[2], control=found[3] or "", value=found[4] or "")

@@ -67,7 +67,7 @@ class Control:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Rectangle:
+class ArtworkRectangle:
     """Artwork: lower left corner, width and height in mm; ``fill`` may be empty for an outline of ``line_mm``."""
 
     rectangle_mm: tuple[float, float, float, float]
@@ -77,7 +77,7 @@ class Rectangle:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Circle:
+class ArtworkCircle:
     """Artwork: centre x, y and radius in mm."""
 
     circle_mm: tuple[float, float, float]
@@ -87,7 +87,7 @@ class Circle:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Line:
+class ArtworkLine:
     """Artwork: from x, y to x, y in mm."""
 
     line_from_to_mm: tuple[float, float, float, float]
@@ -96,7 +96,7 @@ class Line:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Text:
+class ArtworkText:
     """Artwork: Hershey simplex capitals of ``height_mm``, centred at ``at_mm``."""
 
     text: str
@@ -106,7 +106,7 @@ class Text:
     line_mm: float = 0.4
 
 
-Artwork = Rectangle | Circle | Line | Text
+Artwork = ArtworkRectangle | ArtworkCircle | ArtworkLine | ArtworkText
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -173,10 +173,10 @@ def parse_layout(text: str, file_name: str = "layout") -> PanelLayout:
         raise LayoutError(f"{file_name}:{mistake(error)}") from error
     if not isinstance(document, dict):
         raise LayoutError(Message("layout.n_1_mapping_model_size_controls", file_name=file_name))
-    return _Reader(file_name, LayoutError).layout(document)
+    return _LayoutReader(file_name, LayoutError).layout(document)
 
 
-class _Reader(YamlEntries):
+class _LayoutReader(YamlEntries):
     """Converts the YAML document to dataclasses, or raises one error with file and line."""
 
     def layout(self, document: dict[str, Any]) -> PanelLayout:
@@ -311,18 +311,18 @@ class _Reader(YamlEntries):
                     entry, Message("layout.rectangle_width_height_above_0", rectangle_mm=entry["rectangle_mm"])
                 )
             fill, outline = self.colour(entry, "fill", ""), self.colour(entry, "outline", "")
-            return Rectangle(rectangle_mm=(x, y, width, height), fill=fill, outline=outline, line_mm=line_mm)
+            return ArtworkRectangle(rectangle_mm=(x, y, width, height), fill=fill, outline=outline, line_mm=line_mm)
         if "circle_mm" in entry:
             self.known(entry, {"circle_mm", "fill", "outline", "line_mm"})
             x, y, radius = self.numbers(entry, "circle_mm", 3)
             if radius <= 0:
                 raise self.error(entry, Message("layout.circle_radius_above_0_needed", circle_mm=entry["circle_mm"]))
             fill, outline = self.colour(entry, "fill", ""), self.colour(entry, "outline", "")
-            return Circle(circle_mm=(x, y, radius), fill=fill, outline=outline, line_mm=line_mm)
+            return ArtworkCircle(circle_mm=(x, y, radius), fill=fill, outline=outline, line_mm=line_mm)
         if "line_from_to_mm" in entry:
             self.known(entry, {"line_from_to_mm", "colour", "line_mm"})
             x0, y0, x1, y1 = self.numbers(entry, "line_from_to_mm", 4)
-            return Line(
+            return ArtworkLine(
                 line_from_to_mm=(x0, y0, x1, y1), colour=self.colour(entry, "colour", "#d8dcd8"), line_mm=line_mm
             )
         if "text" in entry:
@@ -335,7 +335,7 @@ class _Reader(YamlEntries):
                 text_strokes(text, (x, y), height)
             except ValueError as error:
                 raise self.error(entry, str(error)) from error
-            return Text(text=text, at_mm=(x, y), height_mm=height, colour=colour, line_mm=line_mm)
+            return ArtworkText(text=text, at_mm=(x, y), height_mm=height, colour=colour, line_mm=line_mm)
         raise self.error(entry, Message("layout.artwork_needs_one_rectangle_circle"))
 
     def marks(self, entry: dict[str, Any]) -> tuple[tuple[str, float], ...]:
@@ -378,14 +378,14 @@ class _Reader(YamlEntries):
         return Dimple(place_mm=(x, y), diameter_mm=diameter, depth_mm=depth)
 
 
-def marker_artwork(marker: Fiducial) -> tuple[Rectangle, ...]:
+def marker_artwork(marker: Fiducial) -> tuple[ArtworkRectangle, ...]:
     """Return the print of a marker: the white rim, the black square, the white modules."""
 
-    def square(side: float, fill: str) -> Rectangle:
+    def square(side: float, fill: str) -> ArtworkRectangle:
         x, y = (place - side / 2 for place in marker.position_mm)
-        return Rectangle(rectangle_mm=(x, y, side, side), fill=fill)
+        return ArtworkRectangle(rectangle_mm=(x, y, side, side), fill=fill)
 
-    white = tuple(Rectangle(rectangle_mm=module, fill="#ffffff") for module in marker.white_mm())
+    white = tuple(ArtworkRectangle(rectangle_mm=module, fill="#ffffff") for module in marker.white_mm())
     return (square(marker.side_mm, "#ffffff"), square(marker.size_mm, "#000000"), *white)
 
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from enum import Enum
 
 
-class Stage(str, Enum):
+class PreparationStage(str, Enum):
     """Step of a preparation; ``ready`` and ``failed`` end it."""
 
     CONNECTING = "connecting"
@@ -22,7 +22,7 @@ class Stage(str, Enum):
     FAILED = "failed"
 
 
-class Cause(str, Enum):
+class PreparationCause(str, Enum):
     """Cause of a failed preparation; only ``timed_out`` can be caused by slowness alone."""
 
     NONE = ""
@@ -32,7 +32,7 @@ class Cause(str, Enum):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Report:
+class PreparationReport:
     """One line of progress.
 
     Parameters
@@ -51,14 +51,14 @@ class Report:
         Cause of the failure, in ``failed``.
     """
 
-    stage: Stage
+    stage: PreparationStage
     text: str = ""
     done: int = 0
     total: int = 0
     missed: int = 0
     left_s: float | None = None
-    failed_at: Stage | None = None
-    cause: Cause = Cause.NONE
+    failed_at: PreparationStage | None = None
+    cause: PreparationCause = PreparationCause.NONE
 
 
 _PROGRESS = re.compile(r"calibrating (\d+)/(\d+)")
@@ -66,11 +66,11 @@ _MISSED = re.compile(r"(\d+) missed")
 _LEFT = re.compile(r"(\d+(?:\.\d+)?) s left")
 
 
-def calibration_report(state: str) -> Report:
+def calibration_report(state: str) -> PreparationReport:
     """Return the report of a text of ``calibration/state``."""
     found, missed, left = (pattern.search(state) for pattern in (_PROGRESS, _MISSED, _LEFT))
-    return Report(
-        stage=Stage.CALIBRATING,
+    return PreparationReport(
+        stage=PreparationStage.CALIBRATING,
         text=state,
         done=int(found[1]) if found else 0,
         total=int(found[2]) if found else 0,
@@ -79,14 +79,14 @@ def calibration_report(state: str) -> Report:
     )
 
 
-def to_line(report: Report) -> str:
+def to_line(report: PreparationReport) -> str:
     """Return a report as one line of JSON; keys with default values are left out."""
-    defaults = {f.name: f.default for f in dataclasses.fields(Report)}
+    defaults = {f.name: f.default for f in dataclasses.fields(PreparationReport)}
     values = {name: value for name, value in dataclasses.asdict(report).items() if value != defaults[name]}
     return json.dumps(values)
 
 
-def from_line(line: str) -> Report:
+def from_line(line: str) -> PreparationReport:
     """Return the report of a line.
 
     Raises
@@ -97,10 +97,10 @@ def from_line(line: str) -> Report:
     try:
         values = json.loads(line)
         failed_at = values.pop("failed_at", None)
-        return Report(
-            stage=Stage(values.pop("stage")),
-            failed_at=None if failed_at is None else Stage(failed_at),
-            cause=Cause(values.pop("cause", "")),
+        return PreparationReport(
+            stage=PreparationStage(values.pop("stage")),
+            failed_at=None if failed_at is None else PreparationStage(failed_at),
+            cause=PreparationCause(values.pop("cause", "")),
             **values,
         )
     except (AttributeError, KeyError, TypeError, ValueError) as error:

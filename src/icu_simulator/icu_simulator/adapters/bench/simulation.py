@@ -22,6 +22,7 @@ from icu_common.core.configuration.config import from_mapping, to_mapping
 from icu_common.core.geometry.geometry import Transform
 from icu_common.core.panel.panel_layout import PanelLayout
 from icu_simulator.adapters.bench.board_link import BoardLink
+from icu_simulator.adapters.bench.image_drawing import ImageDrawing, stamps_ns
 from icu_simulator.adapters.bench.image_output import ImageOutput
 from icu_simulator.adapters.bench.request_socket import RequestSocket
 from icu_simulator.adapters.bench.step_time import StepTime
@@ -32,6 +33,7 @@ from icu_simulator.core.renderer import Renderer
 from icu_simulator.core.touch import check_keys
 from icu_simulator.imaging.rig import CameraShift
 from icu_simulator.imaging.stream import CameraStream
+from icu_simulator.imaging.timing import shots
 
 EXPOSURE_LAG_S = 0.015
 """Seconds by which the exposure is in the past, so that the motor samples around it have arrived."""
@@ -90,6 +92,7 @@ class Simulation:
         self._bench = Bench(layout, config)
         self._renderer = Renderer(layout, config, self._bench.panel_from)
         self._stream = CameraStream()
+        self._drawing = ImageDrawing(self._stream)
         self._images = ImageOutput(Path(config.frame_socket) if config.frame_socket else None, ledger)
         self._render_s = 0.0
         self._error = ""
@@ -209,7 +212,7 @@ class Simulation:
             self._board.follow(steps.now_s)
             self._bench.advance(steps.now_s)
             if steps.now_ns >= next_frame_ns:
-                self._expose(steps.now_s, steps.now_ns)
+                self._expose_in_steps(steps.now_s, steps.now_ns)
                 next_frame_ns += round(1e9 / self._config.camera.rate_hz)
             given_up_s = time.monotonic() + PATIENCE_S
             self._serve_until(lambda: self._images.flush() or time.monotonic() > given_up_s)  # noqa: B023
@@ -246,13 +249,24 @@ class Simulation:
             return
         self._renderer.follow_panel(self._bench.panel_from)
         images = self._stream.take(self._config, self._bench, self._renderer, exposure_s)
-        if not images:  # both cameras lost their images
-            return
-        stamps_ns = [stamp_ns - round((exposure_s - image.stamp_s) * 1e9) for image in images]
-        self._images.send(images, stamps_ns)
+        if images:  # else both cameras lost their images
+            self._images.send(images, stamps_ns(images, exposure_s, stamp_ns))
         self._render_s = time.monotonic() - begin_s
 
+    def _expose_in_steps(self, exposure_s: float, stamp_ns: int) -> None:
+        """Send the images of the previous exposure; while the graph processes them, draw those of this one."""
+        images, stamps = self._drawing.take()
+        if not self._images.is_wanted():
+            return
+        self._renderer.follow_panel(self._bench.panel_from)
+        exposure = self._stream.expose(shots(self._config, exposure_s), self._config, self._bench)
+        self._drawing.begin(exposure, self._renderer, exposure_s, stamp_ns)
+        if images:
+            self._images.send(images, stamps)
+            self._render_s = self._drawing.seconds
+
     def _reconfigure(self, config: BenchConfig) -> None:
+        self._drawing.finish()
         self._bench.reconfigure(config)
         old, self._config = self._config, config
         rebuilt = config.camera != old.camera or config.manufacture != old.manufacture
@@ -276,6 +290,7 @@ class Simulation:
 
     def _answer(self, line: bytes) -> dict[str, Any]:
         self._write_log()  # the log is then complete up to this truth
+        self._drawing.finish()
         try:
             request = json.loads(line)
             if not isinstance(request, dict) or request.get("do") not in self._COMMANDS:
@@ -342,6 +357,7 @@ class Simulation:
     }
 
     def _close(self) -> None:
+        self._drawing.close()
         self._write_log()
         self._images.close()
         self._board.close()

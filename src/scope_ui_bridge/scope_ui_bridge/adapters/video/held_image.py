@@ -8,7 +8,7 @@ from aiohttp import web
 
 from scope_ui_bridge.adapters.video.jpeg_encoder import JpegEncoder, Picture
 from scope_ui_bridge.adapters.video.video_hub import VideoHub
-from scope_ui_bridge.core.access import Role, Session
+from scope_ui_bridge.core.access import PageSession, Role
 from scope_ui_bridge.core.orders import HeldPicture
 
 _QUALITY = 95
@@ -36,7 +36,7 @@ class HeldImage:
         assert self._held is not None, "the desk knows which picture is held"
         return self._held
 
-    async def answer(self, request: web.Request, session: Session | None) -> web.Response:
+    async def answer(self, request: web.Request, session: PageSession | None) -> web.Response:
         """Answer an engineer's request with the image."""
         if session is None or not session.role.may(Role.ENGINEER):
             raise web.HTTPUnauthorized(reason="engineers only")

@@ -13,10 +13,10 @@ from scope_ui_bridge.adapters.web.open_pages import OpenPage, OpenPages
 from scope_ui_bridge.adapters.web.socket_gate import SocketGate
 from scope_ui_bridge.adapters.web.turned_away import SUSPECT
 from scope_ui_bridge.adapters.web.websockets import receive, send_all, throw_out
-from scope_ui_bridge.core.access import Session
+from scope_ui_bridge.core.access import PageSession
 from scope_ui_bridge.core.admission import PINGS_BURST, PINGS_PER_S, Bucket
 from scope_ui_bridge.core.desk import Desk
-from scope_ui_bridge.core.effects import Effect, End, Send
+from scope_ui_bridge.core.effects import Effect, End, SendToViewer
 from scope_ui_bridge.core.wire import Refusal, encode
 
 _LINK_LOST = "stopped_link_lost"
@@ -64,7 +64,9 @@ class ControlSockets:
                 sender.cancel()
         return await (throw_out(request, socket) if gone == _FLOODING else self._gate.ended(socket))
 
-    async def _follow(self, request: web.Request, session: Session, viewer: str, socket: web.WebSocketResponse) -> str:
+    async def _follow(
+        self, request: web.Request, session: PageSession, viewer: str, socket: web.WebSocketResponse
+    ) -> str:
         """Pass on the messages of a page; return the cause of its end."""
         pings = Bucket(PINGS_PER_S, PINGS_BURST)
         while True:
@@ -90,6 +92,6 @@ class ControlSockets:
 
     def _note_suspects(self, name: str, effects: list[Effect]) -> None:
         for effect in effects:
-            if isinstance(effect, Send) and effect.message.get("code") in SUSPECT:
+            if isinstance(effect, SendToViewer) and effect.message.get("code") in SUSPECT:
                 values = encode(effect.message["values"])
                 self._door.turned_away.note(name, f"message {effect.message['code']}", values)

@@ -9,7 +9,7 @@ from typing import Any
 
 from icu_common.core.reasons.message import Message
 from scope_ui_bridge.adapters.audit_writer import AuditWriter
-from scope_ui_bridge.adapters.graph_port import GraphError, GraphPort, read_clocks
+from scope_ui_bridge.adapters.graph_port import GraphPort, GraphUnavailable, read_clocks
 from scope_ui_bridge.adapters.recorder import Recorder
 from scope_ui_bridge.adapters.stop_path import StopPath
 from scope_ui_bridge.adapters.tasks import Tasks
@@ -22,16 +22,17 @@ from scope_ui_bridge.core.effects import (
     CallService,
     Effect,
     End,
-    Heartbeat,
     HoldPicture,
-    Order,
+    MachineOrder,
     Ping,
+    PublishHeartbeat,
     Record,
-    Send,
+    RepeatOrder,
     SendCommand,
     SendGoal,
     SendSequence,
     SendTeaching,
+    SendToViewer,
     StopNow,
 )
 
@@ -79,40 +80,43 @@ class EffectRunner:
         for effect in effects:
             if isinstance(effect, StopNow):
                 self._stop_path.send(effect)
-            elif isinstance(effect, Heartbeat):
+            elif isinstance(effect, PublishHeartbeat):
                 self._graph.heartbeat()
             elif isinstance(effect, Ping):
                 if (socket := self._pages.socket(effect.viewer)) is not None:
                     self._tasks.spawn(until_gone(socket.ping()))
-            elif isinstance(effect, Send):
+            elif isinstance(effect, SendToViewer):
                 self._pages.send(effect.viewer, effect.message)
             elif isinstance(effect, Broadcast):
                 self._pages.broadcast(effect.message)
             elif isinstance(effect, HoldPicture):
                 self.run(self._desk.picture_held(effect.viewer, self._held.hold()))
+            elif isinstance(effect, RepeatOrder):
+                self._tasks.spawn(self._send(effect.order))
             elif isinstance(effect, Record):
                 self._writer.write_later(effect.record)
             elif isinstance(effect, End):
                 continue  # the connection's own task ends it
             else:
-                assert isinstance(effect, Order)
+                assert isinstance(effect, MachineOrder)
                 self._tasks.spawn(self._send(effect, self._writer.write(effect.record)))
 
-    async def _send(self, order: Order, written: Future[None]) -> None:
+    async def _send(self, order: MachineOrder, written: Future[None] | None = None) -> None:
         try:
-            await asyncio.wrap_future(written)
+            if written is not None:
+                await asyncio.wrap_future(written)
             if not self._desk.still_wanted(order, read_clocks(self._graph)):
-                raise GraphError(Message("bridge.stopped_before_went_out"))
+                raise GraphUnavailable(Message("bridge.stopped_before_went_out"))
             self._to_graph(order)
         except OSError as error:
             self._failed(order, Message("bridge.record_could_not_written", error=error))
-        except GraphError as error:
+        except GraphUnavailable as error:
             self._failed(order, str(error))
 
-    def _failed(self, order: Order, reason: str) -> None:
+    def _failed(self, order: MachineOrder, reason: str) -> None:
         self.run(self._desk.answers.order_failed(order, reason, read_clocks(self._graph)))
 
-    def _to_graph(self, order: Order) -> None:
+    def _to_graph(self, order: MachineOrder) -> None:
         if isinstance(order, SendCommand):
             self._graph.send_command(order.text)
         elif isinstance(order, SendSequence):

@@ -23,8 +23,8 @@ from scope_ui_bridge.adapters.web.turned_away import TurnedAway
 from scope_ui_bridge.core.access import (
     AGAIN,
     MAX_NAME,
+    PageSession,
     PasswordError,
-    Session,
     SignIn,
     User,
     composed,
@@ -214,7 +214,7 @@ class FrontDoor:
                 if connection.transport is not None:
                     connection.transport.abort()
 
-    def session(self, request: web.Request) -> Session | None:
+    def session(self, request: web.Request) -> PageSession | None:
         """Return the session of a request; end it if the user's line in the passwords file has changed or is gone."""
         cookie, now_s = _secret(request), time.monotonic()
         session = self._sign_in.session(cookie, now_s)
@@ -301,7 +301,7 @@ class FrontDoor:
         self._record_done(session, "sign-in again")
         return web.json_response({"ok": True})
 
-    def _record_done(self, session: Session, command: str, why: str = "") -> None:
+    def _record_done(self, session: PageSession, command: str, why: str = "") -> None:
         done = {"wall_s": round(time.time(), 3), "who": session.name, "command": command, "result": "done"}
         self._record(done | ({"reason": why} if why else {}))
 

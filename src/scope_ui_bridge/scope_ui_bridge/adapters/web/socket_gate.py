@@ -10,7 +10,7 @@ from aiohttp import WSCloseCode, WSMessage, WSMsgType, web
 from scope_ui_bridge.adapters.tasks import Tasks
 from scope_ui_bridge.adapters.web.front_door import FrontDoor
 from scope_ui_bridge.adapters.web.websockets import close
-from scope_ui_bridge.core.access import Session
+from scope_ui_bridge.core.access import PageSession
 from scope_ui_bridge.core.admission import OPENED_BURST, OPENED_PER_S, OWN_PLACES, Bucket, OfUsers, Places
 from scope_ui_bridge.core.wire import Refusal
 
@@ -50,7 +50,7 @@ class SocketGate:
         self._opened = OfUsers(lambda: Bucket(OPENED_PER_S, OPENED_BURST))
         self._closing = False
 
-    async def open(self, request: web.Request) -> tuple[web.WebSocketResponse, Session]:
+    async def open(self, request: web.Request) -> tuple[web.WebSocketResponse, PageSession]:
         """Return the opened connection and its user's session."""
         session = self._door.session(request)
         if session is None:
@@ -81,7 +81,7 @@ class SocketGate:
         """Free the slot of a connection."""
         self._places.leave(socket)
 
-    def note_broken(self, session: Session, message: WSMessage) -> None:
+    def note_broken(self, session: PageSession, message: WSMessage) -> None:
         """Record a message that is too large, or no valid WebSocket frame: the connection ends."""
         if message.type is WSMsgType.ERROR:
             self._door.turned_away.note(session.name, "frame", str(message.data)[:80])

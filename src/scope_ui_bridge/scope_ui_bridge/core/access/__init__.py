@@ -1,8 +1,8 @@
 """Users: who is signed in, and what a user's page may send.
 
-Enters: names, passwords, tokens, and each message of a page before it is read. Leaves: a ``Session`` with a ``Role``,
-or a refusal. ``passwords`` has users and hashes, ``sign_in`` tokens, sessions and waiting times after wrong passwords,
-and ``viewer`` one page with its rates.
+Enters: names, passwords, tokens, and each message of a page before it is read. Leaves: a ``PageSession`` with a
+``Role``, or a refusal. ``passwords`` has users and hashes, ``sign_in`` tokens, sessions and waiting times after wrong
+passwords, and ``viewer`` one page with its rates.
 """
 
 from scope_ui_bridge.core.access.passwords import (
@@ -16,7 +16,7 @@ from scope_ui_bridge.core.access.passwords import (
     new_user,
     parse_users,
 )
-from scope_ui_bridge.core.access.sign_in import AGAIN, Session, SignIn
+from scope_ui_bridge.core.access.sign_in import AGAIN, PageSession, SignIn
 from scope_ui_bridge.core.access.viewer import FLOODING, SHORT, Viewer
 
 __all__ = [
@@ -24,9 +24,9 @@ __all__ = [
     "FLOODING",
     "MAX_NAME",
     "SHORT",
+    "PageSession",
     "PasswordError",
     "Role",
-    "Session",
     "SignIn",
     "User",
     "Viewer",

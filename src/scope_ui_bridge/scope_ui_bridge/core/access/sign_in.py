@@ -28,7 +28,7 @@ _FIRST_WAIT_S, _LONGEST_WAIT_S = 0.5, 10.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Session:
+class PageSession:
     """A signed-in browser; ``name`` is its user's name on pages and in records.
 
     ``user`` is the line of the passwords file used for the sign-in, None for a token.
@@ -71,10 +71,10 @@ class SignIn:
         self._lifetime_s = session_lifetime_s
         self._token_role = token_role
         self._token = b""
-        self._sessions: OrderedDict[bytes, Session] = OrderedDict()
+        self._sessions: OrderedDict[bytes, PageSession] = OrderedDict()
         self._failures: OrderedDict[tuple[str, str], _Failures] = OrderedDict()
         self._rates = OfUsers(lambda: Bucket(_SIGN_INS_PER_S, _SIGN_INS_BURST))
-        self._pushed_out: list[tuple[Session, str]] = []
+        self._pushed_out: list[tuple[PageSession, str]] = []
         self._count = 0
         self.spares: Callable[[str], bool] = lambda name: False
 
@@ -125,7 +125,7 @@ class SignIn:
         self._failures.pop((account, remote), None)
         return user
 
-    def renew(self, cookie: str, now_s: float) -> Session | None:
+    def renew(self, cookie: str, now_s: float) -> PageSession | None:
         """Extend a session that has not ended to the duration of a new one; return it, or None."""
         session = self.session(cookie, now_s)
         if session is None:
@@ -137,7 +137,7 @@ class SignIn:
 
     def _admit(self, name: str, role: Role, now_s: float, user: User | None = None) -> str:
         secret = self._new_secret()
-        self._sessions[_digest(secret)] = Session(name=name, role=role, ends_s=now_s + self._lifetime_s, user=user)
+        self._sessions[_digest(secret)] = PageSession(name=name, role=role, ends_s=now_s + self._lifetime_s, user=user)
         own = [key for key, session in self._sessions.items() if session.name == name]
         if len(own) > MAX_OF_USER:
             self._push_out(own[0], f"{MAX_OF_USER} newer ones of the same user")
@@ -164,7 +164,7 @@ class SignIn:
         while len(self._failures) > _MAX_FAILURES:
             self._failures.popitem(last=False)
 
-    def session(self, cookie: str, now_s: float) -> Session | None:
+    def session(self, cookie: str, now_s: float) -> PageSession | None:
         """Return the session of a cookie, or None."""
         session = self._sessions.get(_digest(cookie)) if cookie else None
         return session if session is not None and now_s < session.ends_s else None
@@ -173,7 +173,7 @@ class SignIn:
         """End a session."""
         self._sessions.pop(_digest(cookie), None)
 
-    def take_ended(self, now_s: float) -> list[tuple[Session, str]]:
+    def take_ended(self, now_s: float) -> list[tuple[PageSession, str]]:
         """Remove the sessions that have expired or were replaced; return each once, with the reason."""
         over = [key for key, session in self._sessions.items() if now_s >= session.ends_s]
         ended = [(self._sessions.pop(key), "its time was over") for key in over]

@@ -66,7 +66,7 @@ class Viewer:
             return
         raise Refusal("rate_limited" if self._dropped.take(now_s) else FLOODING, limit=MESSAGES_PER_S)
 
-    def admit(self, message: wire.Message, boot_id: str) -> None:
+    def admit(self, message: wire.PageMessage, boot_id: str) -> None:
         """Refuse a message for another run of the server (``old_boot``), or a repeated one (``replayed``)."""
         if message.boot != boot_id:
             raise Refusal("old_boot")

@@ -7,6 +7,7 @@ from icu_common.core.panel.gesture import Point
 from scope_ui_bridge.core import wire
 from scope_ui_bridge.core.access import Role
 from scope_ui_bridge.core.desk.chosen import Chosen
+from scope_ui_bridge.core.desk.early_reset import RESET, EarlyReset
 from scope_ui_bridge.core.desk.order_book import OrderBook
 from scope_ui_bridge.core.desk.state import DeskState
 from scope_ui_bridge.core.effects import (
@@ -29,9 +30,10 @@ _MOVE = ("home", "calibrate")
 class Actions:
     """Checks each order of the page in control and makes its effects."""
 
-    def __init__(self, state: DeskState, book: OrderBook, chosen: Chosen) -> None:
+    def __init__(self, state: DeskState, book: OrderBook, chosen: Chosen, early: EarlyReset) -> None:
         self._state = state
         self._book = book
+        self._early = early
         self._chosen = chosen
 
     def act(self, viewer: str, message: wire.Act, now: Now) -> list[Effect]:
@@ -98,5 +100,10 @@ class Actions:
             state.machine.check_still()
         if service in _FOR_ENGINEERS:
             state.pages[viewer].need(Role.ENGINEER)
+        if service == RESET and self._early.waits(now):
+            return []
         entry = book.enter(viewer, service, "", f"service-{state.log.count + 1}", now)
-        return [CallService(**book.marks(entry, service, {}, now), service=service), shown(entry)]
+        order = CallService(**book.marks(entry, service, {}, now), service=service)
+        if service == RESET:
+            self._early.ordered(order, now)
+        return [order, shown(entry)]

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from icu_common.core.goals.results import GoalResult, Outcome
 from icu_common.core.reasons.codes import STOP_ASKED
+from scope_ui_bridge.core.desk.early_reset import EarlyReset
 from scope_ui_bridge.core.desk.motions import Motions
 from scope_ui_bridge.core.desk.state import DeskState
-from scope_ui_bridge.core.effects import Broadcast, Effect, Now, Order
+from scope_ui_bridge.core.effects import Broadcast, Effect, MachineOrder, Now
 from scope_ui_bridge.core.orders import goal_words, result_words
 from scope_ui_bridge.core.records import LogEntry, result_record, shown
 
@@ -16,8 +17,9 @@ _RECORDER = "bag_record"
 class Answers:
     """Enters each answer in the command log, and returns what shows and records it."""
 
-    def __init__(self, state: DeskState, motions: Motions) -> None:
+    def __init__(self, state: DeskState, motions: Motions, early: EarlyReset) -> None:
         self._state = state
+        self._early = early
         self._motions = motions
 
     def tick(self, now: Now) -> list[Effect]:
@@ -27,12 +29,13 @@ class Answers:
         if state.machine.state("driver")[0] == "stopped":  # its answer may be lost on an overloaded computer
             for number in state.log.open_entries("stop"):
                 effects += self.service_answered(number, True, "", now)
+        effects += self._early.tick(now)
         effects += state.log.expire(state.machine.active, state.config.answer_timeout_s, now)
         if state.log.goal(state.sequence.run_id) is None:
             state.sequence.ended(state.sequence.run_id, "no_answer", "")
         return effects
 
-    def order_failed(self, order: Order, reason: str, now: Now) -> list[Effect]:
+    def order_failed(self, order: MachineOrder, reason: str, now: Now) -> list[Effect]:
         """Record that an order was not sent (no controller, audit file not writable, stopped meanwhile)."""
         entry = self._state.log.open_entry(order.entry)
         if entry is None:
@@ -46,6 +49,8 @@ class Answers:
         entry = self._state.log.open_entry(number) or self._state.log.given_up(number=number)
         if entry is None:
             return []
+        if not success and (put_off := self._early.put_off(entry, text, now)) is not None:
+            return put_off
         refused = "failed" if entry.action == "stop" else "rejected"  # a stop is never refused
         return self._changed(entry, "done" if success else refused, text, now)
 

@@ -15,6 +15,7 @@ from scope_ui_bridge.core.config import BridgeConfig
 from scope_ui_bridge.core.desk.actions import Actions
 from scope_ui_bridge.core.desk.answers import Answers
 from scope_ui_bridge.core.desk.chosen import Chosen
+from scope_ui_bridge.core.desk.early_reset import EarlyReset
 from scope_ui_bridge.core.desk.handover import Handover
 from scope_ui_bridge.core.desk.motions import Motions
 from scope_ui_bridge.core.desk.order_book import OrderBook
@@ -23,10 +24,10 @@ from scope_ui_bridge.core.desk.state_feed import StateFeed
 from scope_ui_bridge.core.desk.stops import Stops
 from scope_ui_bridge.core.desk.supervision import Supervision
 from scope_ui_bridge.core.desk.tip_path import TipPath
-from scope_ui_bridge.core.effects import Effect, End, Now, Order, Record, Send
+from scope_ui_bridge.core.effects import Effect, End, MachineOrder, Now, Record, SendToViewer
 from scope_ui_bridge.core.orders import HeldPicture
 from scope_ui_bridge.core.records import ParameterChanges, record
-from scope_ui_bridge.core.video import Scene
+from scope_ui_bridge.core.video import VideoScene
 from scope_ui_bridge.core.wire import Refusal
 
 
@@ -48,9 +49,9 @@ class Desk:
     """
 
     def __init__(
-        self, config: BridgeConfig, boot_id: str, title: str = "", robot: str = "", scene: Scene | None = None
+        self, config: BridgeConfig, boot_id: str, title: str = "", robot: str = "", scene: VideoScene | None = None
     ) -> None:
-        self._state = state = DeskState(config=config, boot_id=boot_id, scene=scene or Scene())
+        self._state = state = DeskState(config=config, boot_id=boot_id, scene=scene or VideoScene())
         self.scene, self.machine, self.panel = state.scene, state.machine, state.panel
         self.sequence, self.recordings, self.lease = state.sequence, state.recordings, state.lease
         self.parameters = ParameterChanges(state.log)
@@ -60,9 +61,10 @@ class Desk:
         self._supervision = Supervision(state, self._stops, self._handover)
         self._book = OrderBook(state)
         self._motions = Motions(state, self._book)
-        self._actions = Actions(state, self._book, self.chosen)
+        early = EarlyReset(state, self._book)
+        self._actions = Actions(state, self._book, self.chosen, early)
         self._feed = StateFeed(state, self.chosen, title, robot)
-        self.answers = Answers(state, self._motions)
+        self.answers = Answers(state, self._motions, early)
         self.tip_path = TipPath(state, self.chosen)
         self._stop_unexplained = False
         """Whether the controller has stopped, and the code of this state has not been reported yet."""
@@ -134,7 +136,7 @@ class Desk:
             if not unlimited:
                 page.limit(len(text), longest, now.mono_s)
             message = wire.decode(text)
-            if isinstance(message, wire.Stop):  # before every other check: a stop is always accepted
+            if isinstance(message, wire.StopAll):  # before every other check: a stop is always accepted
                 effects = self.stop(page.name, now, press=message.press)
                 return [*effects, _answer(viewer, message.seq)]
             if unlimited:
@@ -151,9 +153,9 @@ class Desk:
             told: list[Effect] = [self.chosen.shown()] if gone else []
             seq = wire.seq_of(text) if seq is None else seq
             answer = {"type": "answer", "seq": seq, "ok": False, **refusal.message()}
-            return [*told, Send(viewer=viewer, message=answer)]
+            return [*told, SendToViewer(viewer=viewer, message=answer)]
 
-    def _dispatch(self, viewer: str, message: wire.Message, now: Now) -> list[Effect]:
+    def _dispatch(self, viewer: str, message: wire.PageMessage, now: Now) -> list[Effect]:
         if isinstance(message, wire.Alive):
             return self._alive(viewer, message, now)
         if isinstance(message, wire.Hidden):
@@ -161,7 +163,8 @@ class Desk:
         if isinstance(message, wire.Blind):
             if viewer != self.lease.holder or not self.moving:
                 return []
-            return self._stops.unseen("stopped_page_blind", message.silence_ms / 1e3, now)
+            silence_s, limit_s = message.silence_ms / 1e3, self.config.frame_stale_s
+            return self._stops.unseen("stopped_page_blind", silence_s, limit_s, now)
         if isinstance(message, wire.Lease):
             effects = self._handover.step(viewer, message, now)
             return [*effects, self._feed.state_effect(now), _answer(viewer, message.seq)]
@@ -169,12 +172,12 @@ class Desk:
         self._state.pages[viewer].check_after_stop(message.seq)
         return [*self._order(viewer, message, now), _answer(viewer, message.seq)]
 
-    def _order(self, viewer: str, message: wire.Message, now: Now) -> list[Effect]:
+    def _order(self, viewer: str, message: wire.PageMessage, now: Now) -> list[Effect]:
         if isinstance(message, wire.Select):
             return self.chosen.select(message, now)
         if isinstance(message, wire.Act):
             return self._actions.act(viewer, message, now)
-        if isinstance(message, wire.Move):
+        if isinstance(message, wire.MoveTo):
             return self._motions.move(viewer, message, now)
         if isinstance(message, wire.Jog):
             return self._motions.jog(viewer, message, now)
@@ -192,7 +195,9 @@ class Desk:
         clocks = {"bridge_ms": now.mono_s * 1e3, "wall_ms": now.wall_s * 1e3}
         left_s = self._state.pages[viewer].signed_in_until_s - now.mono_s
         ends = {"sign_in_ends_s": round(left_s, 1)} if left_s <= self.config.sign_in_warning_s else {}
-        return [Send(viewer=viewer, message={"type": "alive", "client_ms": message.client_ms, **clocks, **ends})]
+        return [
+            SendToViewer(viewer=viewer, message={"type": "alive", "client_ms": message.client_ms, **clocks, **ends})
+        ]
 
     def _hidden(self, viewer: str, now: Now) -> list[Effect]:
         if viewer != self.lease.holder:
@@ -221,7 +226,7 @@ class Desk:
         if viewer in self._state.pages and self._state.pages[viewer].name == who:
             self._state.pages[viewer].stopped(seq)
 
-    def still_wanted(self, order: Order, now: Now) -> bool:
+    def still_wanted(self, order: MachineOrder, now: Now) -> bool:
         """Return whether an order may still be sent, see :meth:`OrderBook.still_wanted`."""
         return self._book.still_wanted(order, now)
 
@@ -267,10 +272,10 @@ class Desk:
         """Set the held image, and send its stamp and size to the page that requested it."""
         self._state.held = held
         if held is None:
-            return [Send(viewer=viewer, message={"type": "held", "stamp": ""})]
+            return [SendToViewer(viewer=viewer, message={"type": "held", "stamp": ""})]
         size = {"width": held.width, "height": held.height}
-        return [Send(viewer=viewer, message={"type": "held", "stamp": str(held.stamp_ns), **size})]
+        return [SendToViewer(viewer=viewer, message={"type": "held", "stamp": str(held.stamp_ns), **size})]
 
 
-def _answer(viewer: str, seq: int) -> Send:
-    return Send(viewer=viewer, message={"type": "answer", "seq": seq, "ok": True})
+def _answer(viewer: str, seq: int) -> SendToViewer:
+    return SendToViewer(viewer=viewer, message={"type": "answer", "seq": seq, "ok": True})

@@ -48,12 +48,14 @@ class Handover:
         passed = self._passed(viewer, command, lease.holder, now, state.pages.name_of(target))
         return [passed, *self._chosen.clear()]
 
-    def lose(self, viewer: str, code: str, now: Now, silence_s: float = 0.0) -> list[Effect]:
+    def lose(self, viewer: str, code: str, now: Now, silence_s: float = 0.0, limit_s: float = 0.0) -> list[Effect]:
         """Take control from a page, if it has it, and stop what it moves; ``code`` is the cause."""
         moving = self._state.moving
         if not self._state.lease.release(viewer):
             return []
-        effects = self._stops.stop(WATCHDOG, now, code, silence_s=silence_s) if moving else []
+        effects: list[Effect] = []
+        if moving:
+            effects = self._stops.stop(WATCHDOG, now, code, silence_s=silence_s, limit_s=limit_s)
         own = code == "stopped_released"
         reason = {} if own else {"reason": code.removeprefix("stopped_").replace("_", " ")}
         passed = self._passed(viewer, "release control" if own else "lose control", viewer, now, **reason)

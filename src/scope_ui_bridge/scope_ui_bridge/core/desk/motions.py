@@ -12,7 +12,7 @@ from scope_ui_bridge.core import wire
 from scope_ui_bridge.core.control import HeldJog
 from scope_ui_bridge.core.desk.order_book import OrderBook
 from scope_ui_bridge.core.desk.state import DeskState
-from scope_ui_bridge.core.effects import Effect, Now, Order
+from scope_ui_bridge.core.effects import Effect, MachineOrder, Now
 from scope_ui_bridge.core.records import LogEntry, shown
 from scope_ui_bridge.core.wire import Refusal
 
@@ -25,7 +25,7 @@ class Motions:
         self._book = book
         self._refused: tuple[HeldJog, str] | None = None
 
-    def move(self, viewer: str, message: wire.Move, now: Now) -> list[Effect]:
+    def move(self, viewer: str, message: wire.MoveTo, now: Now) -> list[Effect]:
         """Order a move to a point."""
         self._check(message.camera, message.stamp_ns, now)
         place = f"({message.x_m * 1e3:.1f}, {message.y_m * 1e3:.1f}) mm"
@@ -86,7 +86,7 @@ class Motions:
             self._refused = (jog, result.reason)
         return None
 
-    def not_sent(self, order: Order) -> None:
+    def not_sent(self, order: MachineOrder) -> None:
         """End the jog whose step could not be sent."""
         if self._state.jog is not None and self._state.jog.entry == order.entry:
             self._state.jog = None
@@ -99,7 +99,7 @@ class Motions:
             raise Refusal("busy_pending")
         state.machine.check_at_rest()
 
-    def _step(self, jog: HeldJog, entry: LogEntry, now: Now, *, again: bool = False) -> Order:
+    def _step(self, jog: HeldJog, entry: LogEntry, now: Now, *, again: bool = False) -> MachineOrder:
         x, y = jog.xy if again else jog.advance()
         goal = self._book.goal(entry, BASE, (x, y), f"jog ({x * 1e3:.1f}, {y * 1e3:.1f}) mm", {}, now)
         return replace(goal, until_s=jog.until_s)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from scope_ui_bridge.core.desk.state import DeskState
-from scope_ui_bridge.core.effects import Now, Order, SendGoal
+from scope_ui_bridge.core.effects import MachineOrder, Now, SendGoal
 from scope_ui_bridge.core.records import LogEntry, record
 from scope_ui_bridge.core.wire import Refusal
 
@@ -56,7 +56,7 @@ class OrderBook:
         if self._state.log.waiting:
             raise Refusal("busy_pending")
 
-    def still_wanted(self, order: Order, now: Now) -> bool:
+    def still_wanted(self, order: MachineOrder, now: Now) -> bool:
         """Return whether an order may still be sent: no stop and no change of control since, and not given up.
 
         A jog step must also still be held, or recently requested. A bridge that was suspended sends nothing until its

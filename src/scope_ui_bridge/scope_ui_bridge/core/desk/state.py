@@ -11,7 +11,7 @@ from scope_ui_bridge.core.desk.pages import Pages
 from scope_ui_bridge.core.orders import HeldPicture
 from scope_ui_bridge.core.records import CommandLog
 from scope_ui_bridge.core.status import MachineView, PanelView, Recordings, SequenceView
-from scope_ui_bridge.core.video import Scene
+from scope_ui_bridge.core.video import VideoScene
 
 
 @dataclass(slots=True, kw_only=True)
@@ -38,7 +38,7 @@ class DeskState:
 
     config: BridgeConfig
     boot_id: str
-    scene: Scene = field(default_factory=Scene)
+    scene: VideoScene = field(default_factory=VideoScene)
     machine: MachineView = field(default_factory=MachineView)
     panel: PanelView = field(default_factory=PanelView)
     sequence: SequenceView = field(default_factory=SequenceView)

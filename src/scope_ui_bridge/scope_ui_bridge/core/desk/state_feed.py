@@ -9,7 +9,7 @@ from typing import Any
 from scope_ui_bridge.core.access import Role
 from scope_ui_bridge.core.desk.chosen import Chosen
 from scope_ui_bridge.core.desk.state import DeskState
-from scope_ui_bridge.core.effects import Broadcast, Effect, Now, Send
+from scope_ui_bridge.core.effects import Broadcast, Effect, Now, SendToViewer
 from scope_ui_bridge.core.wire import Refusal
 
 STATE_PERIOD_S = (0.1, 1.0)
@@ -89,7 +89,7 @@ class StateFeed:
         lines, self._lines = self._lines, []
         self._kept_lines.extend(lines)
         pages = self._state.pages.engineers() if lines else []
-        return [Send(viewer=viewer, message={"type": "console", "lines": lines}) for viewer in pages]
+        return [SendToViewer(viewer=viewer, message={"type": "console", "lines": lines}) for viewer in pages]
 
     def _changed_parts(self) -> list[Effect]:
         state = self._state

@@ -7,7 +7,7 @@ import math
 from scope_ui_bridge.core.desk.handover import Handover
 from scope_ui_bridge.core.desk.state import DeskState
 from scope_ui_bridge.core.desk.stops import Stops
-from scope_ui_bridge.core.effects import Effect, Heartbeat, Now, Ping
+from scope_ui_bridge.core.effects import Effect, Now, Ping, PublishHeartbeat
 
 HEARTBEAT_PERIOD_S = 0.1
 """Seconds between heartbeats.
@@ -35,7 +35,7 @@ class Supervision:
         due = now.mono_s - self._last_heartbeat_s >= HEARTBEAT_PERIOD_S - 0.01
         if silence_s <= state.config.keepalive_fresh_s and due:
             self._last_heartbeat_s = now.mono_s
-            effects.append(Heartbeat())
+            effects.append(PublishHeartbeat())
         if state.causes.wants_ping(silence_s):
             effects.append(Ping(viewer=state.lease.holder))
         return [*effects, *self._watch(silence_s, now)]
@@ -46,7 +46,8 @@ class Supervision:
         if not state.lease.holder:
             return []
         if (silence_s >= config.silence_stop_s and state.moving) or silence_s >= config.lease_timeout_s:
-            return self._handover.lose(state.lease.holder, state.causes.of_silence(now.mono_s), now, silence_s)
+            code = state.causes.of_silence(now.mono_s)
+            return self._handover.lose(state.lease.holder, code, now, silence_s, config.silence_stop_s)
         if blind_s >= config.picture_stop_s:
-            return self._stops.unseen(state.causes.of_blindness(now.mono_s), blind_s, now)
+            return self._stops.unseen(state.causes.of_blindness(now.mono_s), blind_s, config.picture_stop_s, now)
         return []

@@ -17,7 +17,7 @@ from icu_common.core.panel.gesture import Gesture, GestureError, Point, parse_ge
 from icu_common.core.panel.panel_state import ControlSeen, PanelSeen
 from icu_common.core.reasons.message import Message
 from scope_ui_bridge.core import wire
-from scope_ui_bridge.core.video import Face, Scene, moved_m
+from scope_ui_bridge.core.video import Face, VideoScene, moved_m
 from scope_ui_bridge.core.wire import Refusal
 
 _TOUCHES = ("press", "double", "long", "hold")
@@ -86,7 +86,7 @@ class Selection:
 
 
 def make_selection(
-    number: int, message: wire.Select, scene: Scene, camera_from_panel: Transform, seen: PanelSeen | None
+    number: int, message: wire.Select, scene: VideoScene, camera_from_panel: Transform, seen: PanelSeen | None
 ) -> Selection:
     """Return the selection requested by a message.
 
@@ -142,7 +142,7 @@ def _gestures(kind: str, seen: ControlSeen | None) -> tuple[str, ...]:
     return tuple(gesture for gesture in GESTURES_OF[kind] if able.get(gesture, True))
 
 
-def _on_panel(camera: str, pixel: tuple[float, float], scene: Scene, height_m: float = 0.0) -> Array:
+def _on_panel(camera: str, pixel: tuple[float, float], scene: VideoScene, height_m: float = 0.0) -> Array:
     if camera != "left":  # the only frame of a pixel goal is the left camera's
         raise Refusal("point_needs_left")
     if scene.left is not None:
@@ -158,17 +158,17 @@ def _on_panel(camera: str, pixel: tuple[float, float], scene: Scene, height_m: f
     return point
 
 
-def _line_in_picture(camera: str, ends: tuple[tuple[float, float], ...], scene: Scene) -> Array:
+def _line_in_picture(camera: str, ends: tuple[tuple[float, float], ...], scene: VideoScene) -> Array:
     face = _screen(_on_panel(camera, ends[0], scene), scene)
     return _checked_line(np.array([_on_panel(camera, end, scene, face.centre[2]) for end in ends]), face)
 
 
-def _line_on_panel(line_m: tuple[float, float, float, float], scene: Scene) -> Array:
+def _line_on_panel(line_m: tuple[float, float, float, float], scene: VideoScene) -> Array:
     face = _screen(np.array(line_m[:2]), scene)
     return _checked_line(np.array([[*line_m[:2], face.centre[2]], [*line_m[2:], face.centre[2]]]), face)
 
 
-def _screen(point: Array, scene: Scene) -> Face:
+def _screen(point: Array, scene: VideoScene) -> Face:
     found = [face for face in scene.faces if face.kind == "touch_area" and face.contains(point)]
     if not found:
         raise Refusal("line_off_screen", x_mm=round(point[0] * 1e3, 1), y_mm=round(point[1] * 1e3, 1))

@@ -49,6 +49,10 @@ class MachineView:
         """Set the state of a ``part`` (driver, controller, calibration or sequencer), as on its state topic."""
         self._states[part] = text
 
+    def text(self, part: str) -> str:
+        """Return a part's state as on its state topic."""
+        return self._states[part]
+
     def state(self, part: str) -> tuple[str, str]:
         """Return a part's state and its reason."""
         text = self._states[part]

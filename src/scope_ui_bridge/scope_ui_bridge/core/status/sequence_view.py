@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from typing import Any
 
 from icu_common.core.goals.results import GoalResult, Outcome
-from icu_common.core.goals.sequence import Sequence, SequenceError, parse_steps, unfit
+from icu_common.core.goals.sequence import GestureSequence, SequenceError, parse_steps, unfit
 from icu_common.core.panel.gesture import parse_gesture
 from icu_common.core.panel.panel_state import PanelSeen
 from icu_common.core.reasons.message import Message, quoted
@@ -40,7 +40,7 @@ class SequenceView:
     """State of sequences for pages; ``stored`` has the sequences read from files, by file name."""
 
     def __init__(self) -> None:
-        self.stored: dict[str, Sequence] = {}
+        self.stored: dict[str, GestureSequence] = {}
         self.run_id = ""
         self.who = ""
         self._name = ""
@@ -52,7 +52,7 @@ class SequenceView:
 
     def chosen(
         self, message: wire.RunSequence, controls: Iterable[str], seen: PanelSeen | None
-    ) -> tuple[str, Sequence]:
+    ) -> tuple[str, GestureSequence]:
         """Return name and steps of the sequence that a page requests; ``controls`` are those of the panel.
 
         Raises
@@ -80,7 +80,7 @@ class SequenceView:
             raise Refusal("sequence_wrong", what=wrong)
         return message.stored or sequence.name, sequence
 
-    def started(self, run_id: str, who: str, name: str, sequence: Sequence) -> None:
+    def started(self, run_id: str, who: str, name: str, sequence: GestureSequence) -> None:
         """Record a sequence sent to the sequencer."""
         self.run_id, self.who, self._name = run_id, who, name
         self._steps = [step.text() for step in sequence.steps]

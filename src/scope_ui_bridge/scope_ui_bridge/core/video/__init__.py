@@ -7,6 +7,6 @@ and edges, and ``frame_window`` limits the images in flight.
 
 from scope_ui_bridge.core.video.frame_window import FORMS, Form, FrameWindow
 from scope_ui_bridge.core.video.layers import CORNERS, EDGES, LAYERS
-from scope_ui_bridge.core.video.scene import Face, Scene, labels_of, moved_m
+from scope_ui_bridge.core.video.scene import Face, VideoScene, labels_of, moved_m
 
-__all__ = ["CORNERS", "EDGES", "FORMS", "LAYERS", "Face", "Form", "FrameWindow", "Scene", "labels_of", "moved_m"]
+__all__ = ["CORNERS", "EDGES", "FORMS", "LAYERS", "Face", "Form", "FrameWindow", "VideoScene", "labels_of", "moved_m"]

@@ -65,7 +65,7 @@ class Face:
 
 
 @dataclass(slots=True)
-class Scene:
+class VideoScene:
     """Newest geometry; ``version`` increases with each change of the panel, a control or a camera.
 
     Points are in camera_left_optical_frame (rectified), except for the faces and the panel's ``outline``, (N, 2) m,

@@ -7,7 +7,7 @@ import re
 from typing import Any
 
 from icu_common.core.panel.gesture import GESTURES
-from icu_common.core.reasons.message import Message as Text
+from icu_common.core.reasons.message import Message
 from scope_ui_bridge.core.wire.fields import Fields
 from scope_ui_bridge.core.wire.refusal import Refusal
 from scope_ui_bridge.core.wire.requests import (
@@ -22,12 +22,12 @@ from scope_ui_bridge.core.wire.requests import (
     Hold,
     Jog,
     Lease,
-    Message,
-    Move,
+    MoveTo,
+    PageMessage,
     PointedControl,
     RunSequence,
     Select,
-    Stop,
+    StopAll,
     Teach,
 )
 from scope_ui_bridge.core.wire.strict_json import decode_object
@@ -42,7 +42,7 @@ _WITH_ARGUMENT = ("hold", "turn", "click")
 _LINE = ("x_mm", "y_mm", "to_x_mm", "to_y_mm")
 
 
-def decode(text: str | bytes) -> Message:
+def decode(text: str | bytes) -> PageMessage:
     """Parse one message of the page.
 
     Raises
@@ -63,11 +63,11 @@ def seq_of(text: str | bytes) -> int | None:
     return int(found[1]) if found else None
 
 
-def _typed(raw: dict[str, Any]) -> Message:
+def _typed(raw: dict[str, Any]) -> PageMessage:
     read = Fields(raw)
     kind = read.choice("type", KINDS)
     head: dict[str, Any] = {"seq": read.integer("seq"), "boot": read.text("boot"), "epoch": read.integer("epoch")}
-    message: Message
+    message: PageMessage
     if kind == "alive":
         message = Alive(**head, client_ms=read.number("client_ms"))
     elif kind == "hidden":
@@ -75,7 +75,7 @@ def _typed(raw: dict[str, Any]) -> Message:
     elif kind == "blind":
         message = Blind(**head, silence_ms=read.number("silence_ms"))
     elif kind == "stop":
-        message = Stop(**head, press=read.text("press") if "press" in raw else "")
+        message = StopAll(**head, press=read.text("press") if "press" in raw else "")
     elif kind == "lease":
         step = read.choice("step", LEASE_STEPS)
         message = Lease(**head, step=step, to=read.text("to") if step in ("grant", "decline") else "")
@@ -86,7 +86,7 @@ def _typed(raw: dict[str, Any]) -> Message:
         x, y, to_x, to_y = (read.length(name) if _LINE[0] in raw else math.nan for name in _LINE)
         line = None if math.isnan(x) else (x, y, to_x, to_y)
         if bool(control) + bool(point) + bool(line) > 1:
-            read.wrong("control", control, Text("request.either_control_point_line"))
+            read.wrong("control", control, Message("request.either_control_point_line"))
         message = Select(**head, **read.picture(), control=control, point_px=point, to_px=to, line_m=line)
     elif kind == "act":
         gesture = read.choice("gesture", GESTURES)
@@ -101,7 +101,7 @@ def _typed(raw: dict[str, Any]) -> Message:
             **read.picture(),
         )
     elif kind == "move":
-        message = Move(**head, x_m=read.length("x_mm"), y_m=read.length("y_mm"), **read.picture())
+        message = MoveTo(**head, x_m=read.length("x_mm"), y_m=read.length("y_mm"), **read.picture())
     elif kind == "jog":
         message = Jog(**head, dx=read.sign("dx"), dy=read.sign("dy"), step_m=read.length("step_mm"), **read.picture())
     elif kind == "sequence":
@@ -126,7 +126,7 @@ def _teach(head: dict[str, Any], read: Fields) -> Teach:
         controls.append(PointedControl(name=name, kind=kind, pixel=(u, v), size_mm=(width, height), proud_mm=proud))
     corners = read.rows("corners", 2)
     if len(corners) != 4:
-        read.wrong("corners", len(corners), Text("request.four_corners"))
+        read.wrong("corners", len(corners), Message("request.four_corners"))
     (size,) = read.rows("size_mm", 2, single=True)
     return Teach(
         **head,

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Message:
+class PageMessage:
     """Fields of every message from a page.
 
     ``seq`` increases with each message of a connection; ``boot`` is the id of the server's run, ``epoch`` of the lease.
@@ -19,33 +19,33 @@ class Message:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Alive(Message):
+class Alive(PageMessage):
     """Keep-alive of a page that draws; ``client_ms`` is returned with the bridge's clock, for the round-trip time."""
 
     client_ms: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Hidden(Message):
+class Hidden(PageMessage):
     """The page has just been hidden, for example by another tab or a locked screen."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Blind(Message):
+class Blind(PageMessage):
     """Something moves, and the page has shown no new image for ``silence_ms``."""
 
     silence_ms: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Stop(Message):
+class StopAll(PageMessage):
     """Stop everything; ``press`` identifies one press of the button, which arrives by two paths."""
 
     press: str = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Lease(Message):
+class Lease(PageMessage):
     """``step``: take, release, request, grant (hand over) or decline; the last two name the requesting page."""
 
     step: str
@@ -53,7 +53,7 @@ class Lease(Message):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Select(Message):
+class Select(PageMessage):
     """A control's name, a point or a line, on the image with this stamp; none of them = clear the selection.
 
     Points are raw pixels. A line goes from ``point_px`` to ``to_px``, or is given on the face as ``line_m`` (x, y to x,
@@ -69,7 +69,7 @@ class Select(Message):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Act(Message):
+class Act(PageMessage):
     """Confirm a gesture at the selection, based on the image with this stamp.
 
     ``argument`` is NaN if the gesture has none; ``mark`` is a knob's marked position, in place of an argument.
@@ -84,7 +84,7 @@ class Act(Message):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Move(Message):
+class MoveTo(PageMessage):
     """Move to a point in base_link (metres) with the stylus up, based on the image with this stamp."""
 
     x_m: float
@@ -94,7 +94,7 @@ class Move(Message):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Jog(Message):
+class Jog(PageMessage):
     """Jog in small steps while this message is repeated; ``dx``, ``dy`` are -1, 0 or 1; both 0 = released."""
 
     dx: int
@@ -105,7 +105,7 @@ class Jog(Message):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class RunSequence(Message):
+class RunSequence(PageMessage):
     """Start a sequence: the ``stored`` one of this name, or these steps as on a command line."""
 
     stored: str
@@ -115,7 +115,7 @@ class RunSequence(Message):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Hold(Message):
+class Hold(PageMessage):
     """Hold the newest left image, to mark a new panel in it."""
 
 
@@ -131,7 +131,7 @@ class PointedControl:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Teach(Message):
+class Teach(PageMessage):
     """Make a panel from the points marked in the held image: corners from the lower left, counter-clockwise."""
 
     stamp_ns: int
@@ -143,7 +143,7 @@ class Teach(Message):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Call(Message):
+class Call(PageMessage):
     """Call one of SERVICES; ``sent_s`` is the time of sending by the page's estimate of the bridge's clock."""
 
     service: str

@@ -528,7 +528,12 @@ bridge-no_recognition_listens_could_taught = keine Erkennung hört zu, die eine 
 bridge-no_report_late = seit { FIXED($silent_s, digits: 0) } s keine Meldung, verspätet: { $names }
 bridge-no_sequencer_listens = kein Ablaufgeber hört zu
 bridge-record_could_not_written = die Brücke kann den Eintrag nicht schreiben: { $error }
+bridge-reset_void = kein Zurücksetzen, die Maschine ist jetzt in einem anderen Zustand: { $state }
+bridge-reset_waits = wartet, bis der Stop zu Ende und der Stift oben ist
 bridge-service_not = der Dienst { $services } ist nicht da
+bridge-stop_by_person = Stop: stopped_by_person, gedrückt von { $who }
+bridge-stop_cause = Stop: { $cause }
+bridge-stop_silent = Stop: { $cause }, seit { FIXED($silence_s, digits: 2) } s ohne Meldung (Grenze { FIXED($limit_s, digits: 2) } s)
 bridge-stopped_before_went_out = gestoppt, bevor es hinausging
 
 ## calibration

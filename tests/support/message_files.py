@@ -16,12 +16,12 @@ from fluent.syntax import FluentParser
 from fluent.syntax import ast as ftl
 from fluent.syntax.visitor import Visitor
 
-SRC = Path(__file__).resolve().parents[1] / "src"
+SRC = Path(__file__).resolve().parents[2] / "src"
 PAGE = SRC / "scope_ui_bridge" / "scope_ui_bridge" / "page"
 GRAPH = SRC / "icu_common" / "icu_common" / "messages" / "en.ftl"
 """English sentences of the graph's programs."""
-MAKERS = ("Message", "Text")
-"""Names under which the modules of ``src`` know the class of messages."""
+MAKER = "Message"
+"""Name of the class of messages."""
 
 
 class _Values(Visitor):
@@ -30,9 +30,11 @@ class _Values(Visitor):
         self.references: set[str] = set()
 
     def visit_VariableReference(self, node: ftl.VariableReference) -> None:
+        """Collect the name of a value."""
         self.found.add(node.id.name)
 
     def visit_MessageReference(self, node: ftl.MessageReference) -> None:
+        """Collect the key of a sentence that this one refers to."""
         self.references.add(node.id.name)
 
 
@@ -80,7 +82,7 @@ def made() -> Iterator[Made]:
     """Yield the messages with a constant code that the modules of ``src`` make."""
     for path in sorted(SRC.rglob("*.py")):
         for node in ast.walk(ast.parse(path.read_text())):
-            if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id in MAKERS and node.args:
+            if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == MAKER and node.args:
                 code = node.args[0]
                 for choice in (code.body, code.orelse) if isinstance(code, ast.IfExp) else (code,):
                     if isinstance(choice, ast.Constant):

@@ -20,18 +20,17 @@ from typing import Any
 
 import cv2
 import numpy as np
-from parameter_files import CONFIG, parameters
 
 from gantry_driver.core.configuration.machine_config import DriverConfig
 from gantry_driver.core.goals.controller import Controller
 from gantry_driver.core.grbl.trajectory_gcode import Waypoint
 from gantry_driver.core.job import controller_messages as msg
 from gantry_driver.core.job.controller_config import ControllerConfig
-from gantry_driver.core.job.goal_job import LOOKING, UP, Phase
+from gantry_driver.core.job.goal_job import LOOKING, UP, GoalPhase
 from gantry_driver.core.machine.machine import Machine
 from gantry_driver.core.motion.scene import PanelMap
 from gantry_driver.core.states.machine_states import Answered, Position, StateChanged
-from gantry_driver.mock.machine import Machine as MockMachine
+from gantry_driver.mock.machine import MockMachine
 from gantry_driver.mock.settings import make_eeprom
 from harris_perception.core.alignment.layout_config import LayoutConfig
 from harris_perception.core.alignment.layout_watch import LayoutWatch
@@ -40,17 +39,17 @@ from harris_perception.core.alignment.pair_watch import PairWatch
 from harris_perception.core.corners.harris import HarrisConfig, HarrisDetector
 from harris_perception.core.hand_eye.hand_eye_config import HandEyeConfig
 from harris_perception.core.hand_eye_procedure.calibration_plan import RunConfig
-from harris_perception.core.hand_eye_procedure.calibration_run import CalibrationRun, SendGoal
-from harris_perception.core.hand_eye_procedure.calibration_solution import Failed, Finished
+from harris_perception.core.hand_eye_procedure.calibration_run import CalibrationRun, SendCalibrationGoal
+from harris_perception.core.hand_eye_procedure.calibration_solution import CalibrationFailed, CalibrationFinished
 from harris_perception.core.hand_eye_procedure.still_watch import StillConfig
 from harris_perception.core.pose.pose_agreement import PoseAgreement
 from harris_perception.core.recognition.panel_reader import PanelReader
 from harris_perception.core.recognition.recognition import PanelRecogniser, RecognitionConfig
 from harris_perception.core.recognition.state_config import StateConfig
 from harris_perception.core.stylus.stylus import StylusTracker
-from harris_perception.core.stylus.stylus_config import StylusConfig
+from harris_perception.core.stylus.stylus_config import StylusSearchConfig
 from harris_perception.core.stylus.tip_record import TipRecord
-from harris_perception.pairing.free_pairs import FreePairs, Pair
+from harris_perception.pairing.free_pairs import FreePairs, ImagePair
 from harris_perception.pairing.free_tips import FreeTips
 from icu_common.core.alignment.pair import PairCode
 from icu_common.core.configuration.config import from_mapping, to_mapping
@@ -65,6 +64,7 @@ from icu_simulator.core.optics import stereo_rig
 from icu_simulator.core.renderer import Renderer
 from icu_simulator.imaging.stream import CameraStream
 from icu_simulator.imaging.timing import Shot, shots
+from support.parameter_files import CONFIG, parameters
 
 START_S = 1000.0
 FRAME_S = 1 / 15
@@ -106,10 +106,10 @@ class VirtualRobot:
         rig = stereo_rig(self.config.camera)
         self.cameras = [CameraModel.from_mapping(rig.calibration(side)) for side in ("left", "right")]
         self.stereo = StereoModel(left=self.cameras[0], right=self.cameras[1])
-        self.tracker = StylusTracker(from_mapping(StylusConfig, parameters("stylus_tracker")), self.stereo)
+        self.tracker = StylusTracker(from_mapping(StylusSearchConfig, parameters("stylus_tracker")), self.stereo)
         self._free_tips = FreeTips(self.tracker)
         # The right view at a left image's instant is interpolated between the right images of two pairs.
-        self._newest: deque[Pair] = deque(maxlen=2)
+        self._newest: deque[ImagePair] = deque(maxlen=2)
         self._tracked_ns = 0
         self._seen: tuple[Any, Any] = (None, None)
         self._recognition = from_mapping(RecognitionConfig, parameters("recognition", "recognition"))
@@ -381,7 +381,7 @@ class VirtualRobot:
                     self.results.append(action.result)
                     if self._procedure is not None:
                         self._act(self._procedure.result(action.result, self.now_ns))
-                case msg.SetState():
+                case msg.PublishState():
                     self.state = action.text
                 case msg.CallStop():
                     self.stops.append(action.reason)
@@ -389,24 +389,24 @@ class VirtualRobot:
 
     def _act(self, actions: Sequence[Any] | Any) -> None:
         for action in actions:
-            if isinstance(action, SendGoal):
+            if isinstance(action, SendCalibrationGoal):
                 xyz, stamp = np.asarray(action.xyz, dtype=np.float64), action.stamp_ns
                 self._later(msg.PointGoal(frame=BASE, xyz=xyz, stamp_ns=stamp))
-            elif isinstance(action, Finished):
+            elif isinstance(action, CalibrationFinished):
                 self._procedure = None
                 self.pair.accept()
                 corners = np.array([(x, y, 0.0) for x in (0.03, 0.33) for y in (0.03, 0.18)])
                 self._later(msg.CalibrationSigma(value_m=action.calibration.sigma_m(corners)))
                 self._later(msg.CameraFromBase(transform=action.calibration.camera_from_base))
                 self._later(msg.Axes(base_from_reading=action.calibration.base_from_reading))
-            elif isinstance(action, Failed):
+            elif isinstance(action, CalibrationFailed):
                 raise RuntimeError(f"calibration failed: {action.reason}")
 
     def _beat(self) -> None:
         if not self.heart:
             return
         self.driver.heartbeat(self.now)
-        self._tell(msg.Heartbeat())
+        self._tell(msg.OperatorHeartbeat())
 
     def _stamp_ns(self, shot: Shot) -> int:
         return round((START_S + shot.stamp_s) * 1e9)
@@ -416,7 +416,7 @@ class VirtualRobot:
         self.pictures += 1
         self.bench.advance(self.now)
         self.renderer.follow_panel(self.bench.panel_from)
-        images = self._stream.render(due, self.config, self.bench, self.renderer)
+        images = self._stream.render(self._stream.expose(due, self.config, self.bench), self.renderer)
         return {image.camera: image.picture for image in images}
 
     def _expose(self) -> None:
@@ -438,7 +438,7 @@ class VirtualRobot:
         if self._procedure is not None:
             self._act(self._procedure.image(stamp, self.now_ns))
 
-    def _see(self, pair: Pair) -> None:
+    def _see(self, pair: ImagePair) -> None:
         self._newest.append(pair)
         if self.controller.phase not in LOOKING and self._procedure is None:
             return
@@ -446,7 +446,7 @@ class VirtualRobot:
             return
         self._track(pair)
 
-    def _track(self, pair: Pair) -> None:
+    def _track(self, pair: ImagePair) -> None:
         """Measure the tip in a pair of images, as the tracker does."""
         stamp = self._tracked_ns = pair.left_ns
         pictures = self._pictures((pair.left, pair.right))
@@ -465,7 +465,7 @@ class VirtualRobot:
             self._act(self._procedure.tick(self.now_ns))
         if self._pose is None or not self.camera_on:
             return
-        wanted = self.watch_panel or self.controller.phase in (*UP, Phase.READ, Phase.WAIT)
+        wanted = self.watch_panel or self.controller.phase in (*UP, GoalPhase.READ, GoalPhase.WAIT)
         if wanted:
             self._recognise()
         else:

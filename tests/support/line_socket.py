@@ -8,7 +8,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from deadlines import wait_until
+from support.deadlines import wait_until
 
 LISTENS_WITHIN_S = ANSWERS_WITHIN_S = 30.0
 """The bench may be drawing a picture, on a loaded machine, before it listens and before it answers."""
@@ -33,19 +33,23 @@ class LineSocket:
         self._file = self._socket.makefile("rwb")
 
     def ask(self, do: str, **values: Any) -> dict[str, Any]:
+        """Send a request with its values; return the answer."""
         return self.send(json.dumps({"do": do, **values}).encode())
 
     def send(self, line: bytes) -> dict[str, Any]:
+        """Send a line without its newline; return the answer."""
         self._file.write(line + b"\n")
         self._file.flush()
         return self.read()
 
     def read(self) -> dict[str, Any]:
+        """Return the next answer."""
         answer = json.loads(self._file.readline())
         assert isinstance(answer, dict)
         return answer
 
     def close(self) -> None:
+        """End the connection."""
         self._file.close()
         self._socket.close()
 
@@ -54,11 +58,13 @@ class BoardSocket(LineSocket):
     """The mock board's control socket: the bytes that the board received, and its position."""
 
     def ask(self, do: str, **values: Any) -> dict[str, Any]:
+        """Send a request that the board must accept; return the answer."""
         answer = super().ask(do, **values)
         assert answer["ok"], answer
         return answer
 
     def fault(self, kind: str, **values: Any) -> None:
+        """Begin a fault of the board or its mechanics."""
         self.ask("fault", kind=kind, **values)
 
     def log(self, since: int = 0, kind: str | None = None) -> list[dict[str, Any]]:
@@ -102,6 +108,7 @@ class BoardSocket(LineSocket):
         return seen
 
     def counters(self) -> dict[str, int]:
+        """Return the counts of the board's bytes, lines and answers."""
         return dict(self.ask("counters")["counters"])
 
     def clock_s(self) -> tuple[float, float]:

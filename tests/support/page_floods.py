@@ -1,7 +1,7 @@
 """Floods of an operator page's server, each from a process of its own.
 
-``python page_floods.py NAME URL COOKIE SECONDS`` floods with an observer's cookie. It prints the numbers of sent
-messages and of answers as JSON.
+``python tests/support/page_floods.py NAME URL COOKIE SECONDS`` floods with an observer's cookie. It prints the
+numbers of sent messages and of answers as JSON.
 """
 
 from __future__ import annotations
@@ -39,9 +39,11 @@ class Flood:
         self.counts: Counter[str] = Counter()
 
     def session(self) -> aiohttp.ClientSession:
+        """Return a session of a client without a limit of its connections."""
         return aiohttp.ClientSession(connector=aiohttp.TCPConnector(limit=0), timeout=aiohttp.ClientTimeout(10.0))
 
     async def socket(self, session: aiohttp.ClientSession, path: str) -> aiohttp.ClientWebSocketResponse | None:
+        """Open a WebSocket and count it; None after a refusal."""
         try:
             made = await session.ws_connect(self.url + path, headers=self.headers, autoping=False, max_msg_size=0)
         except (aiohttp.ClientError, asyncio.TimeoutError) as error:
@@ -52,6 +54,7 @@ class Flood:
         return made
 
     async def ask(self, session: aiohttp.ClientSession, method: str, path: str, **more: Any) -> None:
+        """Send a request, read its answer, and count its status."""
         try:
             async with session.request(method, self.url + path, **more) as answer:
                 self.counts[f"answered {answer.status}"] += 1
@@ -61,6 +64,7 @@ class Flood:
             await asyncio.sleep(0.005)
 
     def raw(self) -> tuple[str, int]:
+        """Return the server's host and port."""
         parts = urlsplit(self.url)
         return parts.hostname or "", parts.port or 80
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import yaml
 
-CONFIG = Path(__file__).resolve().parents[1] / "config"
+CONFIG = Path(__file__).resolve().parents[2] / "config"
 
 
 def _flat(values: dict[str, Any], prefix: str = "") -> dict[str, Any]:

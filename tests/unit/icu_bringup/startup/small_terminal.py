@@ -16,6 +16,7 @@ class SmallTerminal:
         self.row = self.column = 0
 
     def write(self, text: str) -> SmallTerminal:
+        """Apply text with control codes; return this terminal."""
         for arguments, final, back, new, plain in _TOKEN.findall(text):
             if final == "A":
                 self.row -= int(arguments or 1)

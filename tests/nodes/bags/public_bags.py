@@ -1,8 +1,9 @@
 """Public bags, what each must give, and a matrix of the programs on them.
 
-The bags are not part of the repository. ``python tests/public_bags.py FOLDER --fetch`` downloads those that a package
-has; FOLDER, or the variable ICU_PUBLIC_BAGS, may also contain a checkout of ros2/rosbag2 as ``rosbag2``. Bags of
-rosbag2 whose metadata.yaml is known are also written in the same structure, by other libraries than this project's.
+The bags are not part of the repository. ``PYTHONPATH=tests python -m nodes.bags.public_bags FOLDER --fetch`` downloads
+those that a package has; FOLDER, or the variable ICU_PUBLIC_BAGS, may also contain a checkout of ros2/rosbag2 as
+``rosbag2``. Bags of rosbag2 whose metadata.yaml is known are also written in the same structure, by other libraries
+than this project's.
 """
 
 from __future__ import annotations
@@ -20,14 +21,14 @@ from pathlib import Path
 from typing import Any
 
 import yaml
-from foreign_bags import STRING, TYPES, bag, text
+from support.foreign_bags import STRING, TYPES, bag, text
 
 LOG, EVENT = "rcl_interfaces/msg/Log", "rcl_interfaces/msg/ParameterEvent"
 TF, POSE = "tf2_msgs/msg/TFMessage", "geometry_msgs/msg/PoseStamped"
 EMPTY, BASIC, STRINGS = (f"test_msgs/msg/{name}" for name in ("Empty", "BasicTypes", "Strings"))
 NOT_INSTALLED, BAD_NAME = "is not installed here", "topic name must not contain characters"
 VARIABLE = "ICU_PUBLIC_BAGS"
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[3]
 EVO = "evo==1.38.1"
 
 
@@ -272,6 +273,7 @@ def matrix_row(one: PublicBag, path: Path, folder: Path, *, check: bool) -> str:
 
 
 def main() -> None:
+    """Print the matrix of the programs on the bags in a folder."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("folder", type=Path, help="folder of the public bags")
     parser.add_argument("--fetch", action="store_true", help="download the bags that a package has into it")

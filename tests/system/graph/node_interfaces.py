@@ -1,7 +1,7 @@
 """Interfaces of each node of a running graph, in the form of `ros2 node info`, with its parameters.
 
-`PYTHONPATH=tests python -m node_interfaces /gantry/serial_driver ...` prints it for nodes in ROS_DOMAIN_ID. To compare
-two versions of the project, print the interfaces of both and compare the texts.
+`PYTHONPATH=tests python -m system.graph.node_interfaces /gantry/serial_driver ...` prints it for nodes in
+ROS_DOMAIN_ID. To compare two versions of the project, print the interfaces of both and compare the texts.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import Any
 from rcl_interfaces.msg import ParameterDescriptor, ParameterType
 from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters
 from rclpy.parameter import parameter_value_to_python
-from ros_rig import Ros, participant
+from support.ros_rig import Ros, participant
 
 WITHIN_S = 60.0
 KINDS = {

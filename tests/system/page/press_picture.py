@@ -1,6 +1,6 @@
-"""Record one press on the operator page as a moving picture, from a running demo; ``make moving-picture`` starts this.
+"""Record one press on the operator page as a moving picture, from a running demo; ``make animation`` starts this.
 
-    python -m press_picture 'http://127.0.0.1:8080/?token=...' -o docs/press.webp
+    PYTHONPATH=tests python -m system.page.press_picture 'http://127.0.0.1:8080/?token=...' -o docs/press.webp
 
 The browser selects RUN_STOP, confirms, and waits for the answer and the seen effect. Each image of the page is shown
 for at most MAX_SHOWN_MS, because a busy computer makes the simulation slow. For a long path, move the stylus to the

@@ -103,6 +103,7 @@ class Ros:
         return self.spin_until(answered, within_s, lambda: f"{client.srv_name} asked {len(asked)} times").result()
 
     def close(self) -> None:
+        """Close and destroy all nodes, then end the executor."""
         for node in self.nodes:
             self.executor.remove_node(node)
             close = getattr(node, "close", None)
