@@ -86,7 +86,7 @@ def test_an_alarm_over_a_touch_tells_that_the_servo_was_not_lifted(dialect: str)
     rig.fault("alarm", number=1)
     rig.until(lambda: rig.machine.phase.state == "alarm", 5.0)
     assert rig.servo() == (800.0 if dialect == "FluidNC" else 0.0)
-    assert rig.states[-1].endswith("; the stylus was not lifted, it may still press")
+    assert rig.states[-1].endswith("; the board did not lift the stylus, it may still press")
 
 
 @pytest.mark.parametrize("seed", [s for s in range(len(FAULTS)) if fault_of(s).name in LINK_FAULTS])

@@ -7,7 +7,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from prose.rules import Rules, load
+from prose.rules import GERMAN, Rules, load
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -26,6 +26,11 @@ def files(rules: Rules) -> list[Path]:
     return [path for kind in rules.kinds for path in kind.paths(ROOT)]
 
 
+def english(paths: Sequence[Path]) -> list[Path]:
+    """Return the files whose spelling is checked: codespell has no German dictionary."""
+    return [path for path in paths if path.name != GERMAN]
+
+
 def main(arguments: Sequence[str]) -> int:
     """Print each finding; return 1 if there is any, else 0."""
     rules = load()
@@ -33,7 +38,7 @@ def main(arguments: Sequence[str]) -> int:
     findings = [finding for path in paths for finding in rules.of_file(path, ROOT)]
     for finding in findings:
         print(finding)
-    spelling = misspelt(paths, rules.spelling)
+    spelling = misspelt(english(paths), rules.spelling)
     if spelling:
         print(spelling)
     if findings or spelling:

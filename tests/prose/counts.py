@@ -21,7 +21,9 @@ def main(root: Path) -> None:
         if not sentences:
             continue
         words = [sentence.words for sentence in sentences]
-        broken[kind.name] = Counter(rule.name for s in sentences for rule in rules.rules if rule.hits(s.text))
+        broken[kind.name] = Counter(
+            rule.name for s in sentences for rule in rules.rules if rule.reads(s.path) and rule.hits(s.text)
+        )
         row = (
             len(words),
             f"{mean(sentences):.1f}",

@@ -14,10 +14,12 @@ try:
 except ModuleNotFoundError:  # Python 3.10
     import tomli as tomllib
 
-from prose.sentences import Sentence, of_json, of_markdown, of_python, of_script
+from prose.sentences import Sentence, of_fluent, of_json, of_markdown, of_python, of_script
 
 RULES = Path(__file__).with_name("rules.toml")
-READERS = {".md": of_markdown, ".py": of_python, ".js": of_script, ".json": of_json}
+READERS = {".md": of_markdown, ".py": of_python, ".js": of_script, ".json": of_json, ".ftl": of_fluent}
+GERMAN = "de.ftl"
+"""Name of a catalogue that only its own rules read."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,6 +32,12 @@ class Rule:
     bad: str
     good: str
     exceptions: tuple[re.Pattern[str], ...]
+    files: str = "*"
+    """Names of the files that it is for."""
+
+    def reads(self, path: Path) -> bool:
+        """Return whether the rule is for a file."""
+        return fnmatch(path.name, self.files) and (path.name == GERMAN) == (self.files == GERMAN)
 
     def hits(self, text: str) -> bool:
         """Return whether a sentence breaks the rule, without the texts that are excepted."""
@@ -86,7 +94,7 @@ class Rules:
         """Return what is wrong with a sentence."""
         path = sentence.path.relative_to(root)
         for rule in self.rules:
-            if rule.hits(sentence.text):
+            if rule.reads(path) and rule.hits(sentence.text):
                 yield Finding(path, sentence.line, sentence.text, rule.name, rule.instead)
         if sentence.words > self.words:
             remedy = f"at most {self.words} words a sentence"
@@ -133,6 +141,7 @@ def load(path: Path = RULES) -> Rules:
                 bad=rule["bad"],
                 good=rule["good"],
                 exceptions=tuple(re.compile(_reasoned(e, "text"), re.IGNORECASE) for e in rule.get("except", [])),
+                files=rule.get("files", "*"),
             )
             for rule in data["rule"]
         ),

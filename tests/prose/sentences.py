@@ -1,4 +1,4 @@
-"""Sentences that a person reads, with file and line: Markdown, docstrings and comments, texts of the page."""
+"""Sentences that a person reads, with file and line: Markdown, docstrings and comments, catalogues and scripts."""
 
 from __future__ import annotations
 
@@ -20,6 +20,12 @@ _SPLIT = re.compile(r"(?<=[.!?])[\"')\]]*\s+(?=\S)|(?<=[:;])\s+(?=[\"'(\[]*[A-Z0
 _ABBREVIATION = re.compile(r"\b(?:e\.g|i\.e|etc|cf|vs|no|fig|eq|approx|resp|et al|Dr|St)\.$", re.IGNORECASE)
 _SECTION = re.compile(r"^[A-Z][A-Za-z ]+\n-{3,}$", re.MULTILINE)
 """Heading of a numpydoc section."""
+_MESSAGE = re.compile(r"^[a-zA-Z][\w-]* *= *(.*(?:\n(?:[ }].*)?)*)", re.MULTILINE)
+"""A message of a Fluent file, with its lines of variants."""
+_PLACEABLE = re.compile(r"\{[^{}]*\}")
+_VARIANTS = re.compile(r"\{ *\$\w+ *->\n|^ *\*?\[\w+\] (.*)|^\}", re.MULTILINE)
+_SCRIPT = re.compile(r'"((?:[^"\\\n]|\\.)*)"|^\s*//(.*)$|/\*\*?((?:.|\n)*?)\*/', re.MULTILINE)
+"""Strings and comments of a script."""
 _WORD = re.compile(r"[A-Za-zÀ-ÿ][\w'’-]*")
 
 
@@ -74,8 +80,9 @@ def of_python(path: Path) -> Iterator[Sentence]:
 def of_script(path: Path) -> Iterator[Sentence]:
     """Return the sentences among the strings and the comments of a script of the page."""
     source = path.read_text()
-    for match in re.finditer(r'"((?:[^"\\\n]|\\.)* (?:[^"\\\n]|\\.)*)"|^\s*//(.*)$', source, re.MULTILINE):
-        yield from _sentences(path, source.count("\n", 0, match.start()) + 1, match[1] or match[2] or "")
+    for match in _SCRIPT.finditer(source):
+        text = match[1] if " " in (match[1] or "") else match[2] or match[3] or ""
+        yield from _sentences(path, source.count("\n", 0, match.start()) + 1, text)
 
 
 def of_json(path: Path) -> Iterator[Sentence]:
@@ -84,6 +91,14 @@ def of_json(path: Path) -> Iterator[Sentence]:
     for text in _values(json.loads(source)):
         before, found, _ = source.partition(json.dumps(text, ensure_ascii=False))
         yield from _sentences(path, before.count("\n") + 1 if found else 1, text)
+
+
+def of_fluent(path: Path) -> Iterator[Sentence]:
+    """Return the sentences of a Fluent catalogue; VALUE replaces a placeable, and variants are read in their order."""
+    source = path.read_text()
+    for match in _MESSAGE.finditer(source):
+        text = _PLACEABLE.sub("VALUE", _VARIANTS.sub(r"\1", match[1]))
+        yield from _sentences(path, source.count("\n", 0, match.start()) + 1, text)
 
 
 def _values(data: object) -> Iterator[str]:

@@ -386,10 +386,10 @@ def test_nothing_is_played_beside_a_driver_at_work(ros: Ros, tmp_path: Path, com
     ros.spin_until(lambda: len(heard) > 5, 40.0, lambda: heard)
     driver.create_publisher(String, "/bed_1/gantry/driver_state", qos.LATCHED)
     output = player.end(code=1)
-    assert "error: a driver is at work here (/bed_1/gantry/driver_state)" in output
+    assert "error: a driver is running here (/bed_1/gantry/driver_state)" in output
     count = len(heard)
     assert count < 200
-    assert "a driver is at work here" in command("bag_play", str(tmp_path / "bag"), "--wait", "60").end(code=1)
+    assert "a driver is running here" in command("bag_play", str(tmp_path / "bag"), "--wait", "60").end(code=1)
     assert len(heard) == count
     player = command("bag_play", str(tmp_path / "bag"), "--moving", "--rate", "10")
     ros.spin_until(lambda: len(heard) == count + 200, 40.0, lambda: len(heard))
@@ -408,7 +408,7 @@ def test_nothing_is_played_in_step_beside_a_driver_at_work(
         ledger.register()  # this process is the one that plays in step
         player = command("bag_play", str(bag), "--in-step", "1")
         ros.spin_until(lambda: player.process.poll() is not None, 40.0, lambda: heard)
-        assert "error: a driver is at work here (/gantry/driver_state)" in player.end(code=1)
+        assert "error: a driver is running here (/gantry/driver_state)" in player.end(code=1)
         assert heard == []
         player = command("bag_play", str(bag), "--in-step", "1", "--moving")
         ros.spin_until(lambda: player.process.poll() is not None and len(heard) == 3, 40.0, lambda: heard)
@@ -437,7 +437,7 @@ def test_a_driver_at_work_is_found_before_the_first_message(
     heard = ros.collect(driver, String, topic if topic.endswith("alarm") else state, qos.RESULTS)
     player = command("bag_play", str(bag), *arguments)
     ros.spin_until(lambda: player.process.poll() is not None, 40.0)
-    assert f"error: a driver is at work here ({state})" in player.end(code=1)
+    assert f"error: a driver is running here ({state})" in player.end(code=1)
     assert heard == []
 
 

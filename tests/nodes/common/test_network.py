@@ -190,8 +190,8 @@ def test_the_profiles_differ_in_the_interface_alone() -> None:
 @pytest.mark.parametrize(
     ("name", "value", "words"),
     [
-        ("ROS_DOMAIN_ID", "lab", "ROS_DOMAIN_ID = 'lab': a whole number from 0 to 232 is needed"),
-        ("ROS_DOMAIN_ID", "233", "ROS_DOMAIN_ID = '233': a whole number from 0 to 232 is needed"),
+        ("ROS_DOMAIN_ID", "lab", "ROS_DOMAIN_ID = 'lab'; expected a whole number from 0 to 232"),
+        ("ROS_DOMAIN_ID", "233", "ROS_DOMAIN_ID = '233'; expected a whole number from 0 to 232"),
         ("ROS_STATIC_PEERS", "127.0.0.1;no.host.invalid", "ROS_STATIC_PEERS: no address of 'no.host.invalid' is found"),
     ],
 )

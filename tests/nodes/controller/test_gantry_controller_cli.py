@@ -245,7 +245,7 @@ def test_a_sequencer_that_was_started_anew_is_not_waited_for(ros: Any, bench: Ga
         (["--control", "CH1_SCALE", "--turn", "0"], "not zero"),
         (["--control", "CH1_SCALE", "--turn", "30", "--hold", "1"], "not allowed with"),
         (["0.1", "0.1", "--z", "-0.01", "--press"], "--z belongs to a move"),
-        (["0.1", "0.1", "--timeout", "0"], "above 0 is needed"),
+        (["0.1", "0.1", "--timeout", "0"], "expected above 0"),
     ],
 )
 def test_wrong_usage(arguments: list[str], words: str, capsys: pytest.CaptureFixture[str]) -> None:

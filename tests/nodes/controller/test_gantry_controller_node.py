@@ -216,10 +216,10 @@ def test_what_a_camera_with_a_clock_ahead_has_seen_does_not_count(ros: Any) -> N
     bench = GantryBench(ros)
     bench.ahead_s = 3600.0
     bench.see()
-    bench.spin_until_state("waiting: no picture from the left camera")
+    bench.spin_until_state("waiting: no image from the left camera")
     bench.connect_goals()
     bench.command.publish(String(data="press:RUN_STOP id=ahead"))
-    assert bench.spin_until_final().reason.startswith("no picture from the left camera yet")
+    assert bench.spin_until_final().reason.startswith("no image from the left camera yet")
     assert "ready" not in [state.data for state in bench.states] and bench.trajectories == []
     bench.ahead_s = 0.05  # as far as machines' clocks may differ
     bench.spin_until_state("ready")

@@ -49,5 +49,5 @@ def test_a_stale_goal_has_a_code_and_names_what_uses_the_processor(ros: Any) -> 
     assert result.outcome is Outcome.REJECTED and result.code == "stale" and result.goal_id == str(old_ns)
     delay = delay_of(result)
     assert delay is not None and delay.limit_s == 0.5 and 1.0 <= delay.measured_s < 2.0
-    assert "0.5 s are allowed; load " in result.reason and " on " in result.reason
+    assert "(limit 0.5 s); load " in result.reason and " on " in result.reason
     assert not bench.trajectories

@@ -258,14 +258,14 @@ def test_without_a_controller_it_is_refused_and_nothing_is_sent_later(ros: Any) 
         return found[0]
 
     alone = refusal("alone")
-    assert (alone.outcome, alone.reason) == (Outcome.REJECTED, "no gantry controller listens")
+    assert (alone.outcome, alone.reason) == (Outcome.REJECTED, "no gantry controller is running")
     ros.spin_until(
-        lambda: any(s.message == "waiting: no gantry controller listens" for m in reports for s in m.status), 10.0
+        lambda: any(s.message == "waiting: no gantry controller is running" for m in reports for s in m.status), 10.0
     )
     commands = ros.collect(probe, String, "command", qos.COMMAND)
     ros.spin_until(lambda: node.count_subscribers("command") == 1, 10.0)
     mute = refusal("mute")
-    assert (mute.outcome, mute.reason) == (Outcome.REJECTED, "no gantry controller listens"), "it could not answer"
+    assert (mute.outcome, mute.reason) == (Outcome.REJECTED, "no gantry controller is running"), "it could not answer"
     probe.create_publisher(DiagnosticArray, "result", qos.RESULTS)
     ros.spin_until(lambda: not node.hindrance(), 10.0)
     sequence.publish(String(data="id: heard\nsteps: ['press:SAVE']"))
@@ -298,7 +298,7 @@ def test_a_sequencer_that_was_held_up_gives_no_step_that_nobody_expects_any_more
         wake(rig.node)
         ended = rig.final(run_id)
         assert ended.outcome is Outcome.ABORTED
-        assert re.search(r"step 1 of 2, press:RUN_STOP: the sequencer was held up for [45]\.\d s$", ended.reason)
+        assert re.search(r"step 1 of 2, press:RUN_STOP: the sequencer was blocked for [45]\.\d s$", ended.reason)
         assert not [command.data for command in rig.commands if "long" in command.data]
     ros.spin_until(lambda: rig.commands, 10.0)
     assert rig.commands[-1].data == "double:RUN_STOP id=next.1"
@@ -325,7 +325,7 @@ def test_a_controller_that_was_started_anew_in_a_step_ends_the_sequence(ros: Any
     rig.driver.publish(String(data="stopped: stop requested"))
     ended = rig.final("mine")
     assert ended.outcome is Outcome.ABORTED and "at rest for 1 s without an answer to it" in ended.reason
-    assert ended.reason.endswith("; the machine was told to stop and is 'stopped: stop requested'")
+    assert ended.reason.endswith("; the sequencer has ordered a stop, and the driver is 'stopped: stop requested'")
     assert len(rig.commands) == 1 and len(rig.stops) == 1
 
 
@@ -344,7 +344,7 @@ def test_a_gesture_that_takes_longer_than_the_time_without_a_sign_is_followed(ro
     ros.spin_until(lambda: rig.stops, 10.0)
     rig.driver.publish(String(data="stopped: stop requested"))
     ended = rig.final("mine")
-    assert "no sign of work on it for 2 s; the machine was told to stop" in ended.reason
+    assert "no sign of progress for 2 s; the controller has ordered a stop" in ended.reason
     rig.reach("mine.1")
     ros.spin_until(lambda: rig.states[-1].data == "idle", 10.0)
     assert len(rig.commands) == 1, "an answer that comes late starts no next step"

@@ -80,7 +80,7 @@ def test_full_extension_and_158_mm_sideways_from_a_foreign_program_move_nothing(
     path = ((0.1, 0.05, 0.0), (0.1, 0.05, 0.059), (0.258, 0.05, 0.059))
     unknown = foreign.go(*path, frame=frame)
     assert (unknown.outcome.value, unknown.code) == ("rejected", "no_panel")
-    assert unknown.reason == "the panel's plane is not known: the stylus would extend 59.0 mm (limit 16.0 mm)"
+    assert unknown.reason == "the panel's plane is unknown: the stylus would extend 59.0 mm (limit 16.0 mm)"
     foreign.see()
     foreign.until_known()
     deep = foreign.go(*path, frame=frame)

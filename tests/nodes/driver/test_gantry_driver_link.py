@@ -193,7 +193,7 @@ def test_unplugged_while_moving_then_back_and_unhomed(start: Start) -> None:
 @pytest.mark.parametrize(
     ("fault", "arguments", "state", "reason"),
     [
-        ("brown_out", {}, "unhomed", "reset by itself"),
+        ("brown_out", {}, "unhomed", "reset itself"),
         ("soft_reset", {}, "alarm", "ALARM:3"),
         ("alarm", {"number": 1}, "alarm", "ALARM:1"),
         ("error", {"number": 22, "after": 2}, "stopped", "error:22"),

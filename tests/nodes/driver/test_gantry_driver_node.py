@@ -139,7 +139,7 @@ def test_a_trajectory_that_is_too_large_is_refused_before_it_is_unpacked(
     op.trajectory.publish(head[:-4] + struct.pack("<I", 200_000) + 200_000 * short[-size:])
     op.until(lambda: op.results)
     assert (op.results[-1].goal_id, op.results[-1].outcome.value) == ("many", "rejected")
-    assert op.results[-1].reason == "the trajectory has 200000 points, 1 to 2000 are needed"
+    assert op.results[-1].reason == "the trajectory has 200000 points (limits 1 to 2000)"
     message.joint_names[0] = 4000 * "j"
     message.points = [JointTrajectoryPoint(positions=100 * [0.1])] * 500
     op.trajectory.publish(message)
@@ -265,7 +265,7 @@ def test_stop_is_latched_until_reset(operator: Callable[..., Operator], way: str
 
 def test_settings_that_differ_block_motion_until_accepted(operator: Callable[..., Operator]) -> None:
     op = operator("--set", "110=500")
-    op.state("mismatch: $110 is 500.000, the configuration says 12000")
+    op.state("mismatch: $110 is 500.000; expected 12000 (the configuration)")
     op.until(lambda: op.reported(op.states[-1]).get("code") == DriverCode.SETTINGS_DIFFER)
     op.call("enable", SetBool, data=True)
     assert "mismatch" in op.call("home").message

@@ -353,7 +353,7 @@ def test_a_setting_that_differs_is_named(tmp_path: Path, program: Callable[..., 
         code, output = run(str(program(*GOOD)), "--port", str(board.port))
     finally:
         board.close()
-    assert code == 1 and "mismatch: $110 is 500.000, the configuration says 12000" in output, output
+    assert code == 1 and "mismatch: $110 is 500.000; expected 12000 (the configuration)" in output, output
 
 
 def test_space_pauses_and_resumes_and_ctrl_c_ends_safely(board: GrblBoard, program: Callable[..., Path]) -> None:
@@ -405,7 +405,7 @@ def test_settings_are_kept_in_a_file_compared_and_written_back(board: GrblBoard,
     wrong.write_text("; slow\n$110=500\n$12=0.003 (arcs)\n")
     assert run("--port", port, "--write-file", str(wrong), what="settings")[0] == 0
     code, output = run("--port", port, what="settings")
-    assert code == 1 and output.splitlines()[-1] == "$110 is 500.000, the configuration says 12000"
+    assert code == 1 and output.splitlines()[-1] == "$110 is 500.000; expected 12000 (the configuration)"
     code, output = run("--port", port, "--write", what="settings")
     assert code == 0 and output.splitlines()[-1] == "all 17 settings are as they should be"
     written = [e["text"] for e in board.lines() if "=" in e["text"]]
@@ -463,4 +463,4 @@ def test_a_file_without_the_driver_is_told(tmp_path: Path, capsys: pytest.Captur
     params = tmp_path / "params.yaml"
     params.write_text("/**/camera: {ros__parameters: {baud: 9600}}\n/**/hand_eye: {ros__parameters: {baud: 9600}}\n")
     assert main(["settings", "--params", str(params), "--port", "no-such-port"]) == 2
-    assert capsys.readouterr().err == f"error: {params}: ros__parameters for serial_driver are needed\n"
+    assert capsys.readouterr().err == f"error: {params}; expected ros__parameters for serial_driver\n"

@@ -115,7 +115,7 @@ def test_a_guard_that_is_killed_in_contact_is_started_again_and_lifts(start: Sta
     os.kill(first, signal.SIGKILL)
     assert rig.until_lifted() - begun_s < PRESSING_S
     assert any(text.startswith("disconnected: the guard has ended") for text in rig.op.states)
-    rig.op.state("stopped: the stylus was left down while no driver was connected")
+    rig.op.state("stopped: the stylus stayed down while no driver was connected")
     assert rig.guards() not in ([], [first])
 
 

@@ -62,10 +62,12 @@ def test_a_guard_that_hangs_is_killed_and_started_again_and_lifts(start: Callabl
     os.kill(guard, signal.SIGSTOP)
     client.until(lambda: client.board.mpos()[2] > at[2] + 1.0)
     assert float(client.board.ask("state")["t"]) - begun_s < PRESSING_S
-    said = "disconnected: the guard hangs and is restarted; the stylus was not lifted, it may still press"
+    said = (
+        "disconnected: the guard hangs; the driver restarts it; the board did not lift the stylus, it may still press"
+    )
     client.until(lambda: said in client.states, 30.0)
     client.until(client.lifted, 30.0)
-    client.until(lambda: client.states[-1] == "stopped: the stylus was left down while no driver was connected")
+    client.until(lambda: client.states[-1] == "stopped: the stylus stayed down while no driver was connected")
     assert guards_of(client.board.port) != [guard]
 
 

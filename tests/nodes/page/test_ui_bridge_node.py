@@ -536,7 +536,7 @@ def test_what_has_ended_is_in_no_state_any_more(ros: Any, bridge: Any) -> None:
 def test_stop_of_the_driver_is_explained_by_the_code_on_the_diagnostics(ros: Any, bridge: Any) -> None:
     graph, browser, _, _ = bridge
     shown(ros, graph, browser)
-    text = "stopped: operator's heartbeat lost: 0.61 s old, 0.6 s are allowed"
+    text = "stopped: operator's heartbeat lost: 0.61 s old (limit 0.6 s)"
     values = code_values("/gantry/driver_state", {CODE: DriverCode.HEARTBEAT_LOST.value})
     report = DiagnosticArray(status=[diagnostic_status("driver: board", "warn", text, values)])
     reports = graph.probe.create_publisher(DiagnosticArray, "/diagnostics", qos.RESULTS)
@@ -625,7 +625,7 @@ def test_a_stop_without_a_driver_is_told_to_be_heard_by_nobody(ros: Any) -> None
     node = ros.node(BridgeNode, {"port": 0, "token_file": ""})
     answers: list[tuple[bool, str]] = []
     node.outlets.stop(lambda done, text: answers.append((done, text)))
-    assert answers == [(False, "no driver listens")]
+    assert answers == [(False, "no driver is running")]
 
 
 def test_heartbeats_are_published_only_with_the_operators_keep_alives(
@@ -769,7 +769,7 @@ def test_a_wrong_configuration_is_refused_by_name(ros: Any, parameters: dict[str
 @pytest.mark.parametrize("port", ["-1", "65536", "99999999999"])
 def test_foxglove_sidecar_refuses_what_is_no_port(port: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert foxglove_sidecar.main(["foxglove_sidecar", "--port", port]) == 2
-    assert capsys.readouterr().err == f"error: --port {float(port):g}: 0 to 65535 is needed\n"
+    assert capsys.readouterr().err == f"error: --port {float(port):g}; expected 0 to 65535\n"
 
 
 def test_a_port_that_foxglove_cannot_have_is_named(ros: Any, monkeypatch: pytest.MonkeyPatch) -> None:

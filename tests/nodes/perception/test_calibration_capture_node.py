@@ -80,7 +80,7 @@ def test_still_and_new_moments_are_kept_from_both_cameras(ros: Any, tmp_path: Pa
             taken = stamp + 500_000_000 + number * 33_000_000 + late
             publishers[side].publish(image_message(shown[0], "mono8", header(taken, "camera")))
             ros.spin_until(lambda s=side, t=taken: (node._newest[s] or (0,))[0] == t, 20)
-    apart = "both cameras' pictures are 3.2 ms apart, at most 2 are one moment"
+    apart = "the images of both cameras are 3.2 ms apart (limit 2)"
     ros.spin_until(lambda: any(apart in line for line in lines), 20, lambda: lines)
     before = len(lines)
     for publisher in publishers:

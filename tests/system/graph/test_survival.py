@@ -66,8 +66,8 @@ TABLE = (
         killed=("camera", "corners_left", "stylus_tracker", "recognition"),
         during="approach",
         said=(
-            ("result", "the camera has stalled: no picture|the panel is not recognised for"),
-            ("controller", "waiting: no picture from the left camera"),
+            ("result", "the camera has stalled: no image|no recognition of the panel for"),
+            ("controller", "waiting: no image from the left camera"),
             ("stereo", "no pictures with corners"),
             ("/stereo/right/corners_right", "0 pictures"),
             ("ui_bridge", GONE.format("stylus_tracker")),
@@ -86,7 +86,7 @@ TABLE = (
         said=(
             ("driver", "disconnected: "),
             ("controller", "waiting: driver disconnected"),
-            ("ui_bridge", "simulated time has stood still for 5 s"),
+            ("ui_bridge", "simulated time has not advanced for 5 s"),
         ),
         stays_homed=False,
     ),

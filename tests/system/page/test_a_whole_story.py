@@ -330,7 +330,7 @@ def replays(browser: Any, folder: Path, graph: RunningGraph, tmp_path: Path, tau
         assert viewer.page.is_hidden("#lease-take")
         viewer.until(lambda: viewer.page.is_hidden("#stale"), 5.0, lambda: viewer.page.inner_text("#stale"))
         viewer.page.wait_for_selector(".layer-path .over:not(.planned)", state="attached", timeout=60_000)
-        viewer.logs("Go to.*(in work|done)|move to .*(in work|done)", 30.0)
+        viewer.logs("Go to.*(in progress|done)|move to .*(in progress|done)", 30.0)
         viewer.shoots("17_replayed", SHOTS)
         viewer.leaves()
     given = {"layout": taught, "template": taught.with_suffix(".png"), "template_px_per_mm": 4.0}

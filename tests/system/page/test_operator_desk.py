@@ -237,7 +237,7 @@ def speaks_german_for_the_graph(operator: Operator) -> None:
     ):
         assert operator.page.evaluate(spoken, press | more).endswith(f"gemessener Fehler 0,05 mm. {german}")
     closed = operator.page.evaluate(target, {"action": "stop", "target": "stopped_page_gone"})
-    assert closed == "die Seite des Bedieners wurde geschlossen oder neu geladen"
+    assert closed == "der Bediener hat die Seite geschlossen oder neu geladen"
 
 
 def test_nothing_is_taken_for_a_confirmation_that_was_none(operator: Operator, instrument: Instrument) -> None:
@@ -281,7 +281,7 @@ def test_nothing_is_taken_for_a_confirmation_that_was_none(operator: Operator, i
     operator.confirms()
     operator.sees("#chip-driver", "Moving")
     page.reload()
-    operator.logs("STOP.*the operator’s page was closed or reloaded", 20.0)
+    operator.logs("STOP.*the operator closed or reloaded the page", 20.0)
     instrument.tell("motion 1.5")
     operator.takes_control()
     page.keyboard.press("?")
@@ -615,7 +615,7 @@ def test_answers_that_come_late_take_no_focus_and_an_end_that_was_missed_is_told
     assert page.evaluate("document.activeElement.id") == "log-search", "it has gone on to something else meanwhile"
     instrument.tell("motion 60")
     person.confirms()
-    person.sees("#last", "Press Menu: in work")
+    person.sees("#last", "Press Menu: in progress")
     for end in ends[-2:]:
         end.close()
     person.logs("Press Menu.*(aborted|stopped)", 20.0)
@@ -834,7 +834,7 @@ def test_a_sign_in_that_ends_is_told_and_put_off_while_something_moves(browser: 
         person.selects("MENU", "Menu")
         person.confirms()
         newest = page.locator("#log tr").first.inner_text
-        person.until(lambda: re.search("Press Menu.*in work", newest()), 10.0, newest)
+        person.until(lambda: re.search("Press Menu.*in progress", newest()), 10.0, newest)
         page.fill("#stay-secret", "wrong horse")
         page.press("#stay-secret", "Enter")
         person.sees("#stay-problem", "Name or password is wrong")
@@ -939,7 +939,7 @@ def test_a_beginner_is_told_what_to_do_next(browser: Any, instrument: Instrument
         signs = page.locator("[data-act=turn], [data-act=click]").all_inner_texts()
         told = "{ action: 'record', target: '', status: 'sent', reason: '', error_mm: null }"
         said = page.evaluate(f"import('/page/reports/command_log.js').then(({{ spoken }}) => spoken({told}))")
-        assert said.startswith("Record: starting, nothing is recorded yet."), "its program takes seconds to begin"
+        assert said.startswith("Record: starting, no recording yet."), "its program takes seconds to begin"
         assert signs == ["↺ Turn", "Turn ↻", "↺ Click", "Click ↻"], "counter-clockwise is + in the angle beside it"
     finally:
         first.context.close()
@@ -1192,7 +1192,7 @@ def test_moving_while_held_and_to_a_point(operator: Operator, instrument: Instru
         return (await desk.link.ask("jog", { dx: 0, dy: 0, step_mm: 1, ...desk.seen })).ok;
     }"""
     assert page.evaluate(answered), "and so has been what the key asked for, and that it was let go"
-    assert page.inner_text("#refusal") == "The last command is not finished yet."
+    assert page.inner_text("#refusal") == "The last command is still running."
     instrument.tell("motion 0.3")
     ends("Go to (80.0, 60.5) mm", 15.0)
     operator.sees("#position-x", "^80.0 mm$")

@@ -164,7 +164,7 @@ def test_the_link_is_cut(room: Room) -> None:
     room.operator.sees("#chip-link", "LOST")
     room.rig.link.mend()
     room.operator.sees("#chip-link", r"\d ms", within_s=10.0)
-    room.operator.sees("#banner", "STOPPED – the link to the operator’s page was lost")
+    room.operator.sees("#banner", "STOPPED – the bridge lost its link to the operator’s page")
     room.resets()
 
 

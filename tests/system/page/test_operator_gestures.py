@@ -138,7 +138,7 @@ def test_a_line_is_drawn_clicked_and_given_by_numbers(person: Operator) -> None:
     assert float(page.input_value("#line-to_x_mm")) > float(page.input_value("#line-x_mm"))
     page.fill("#line-to_x_mm", "300")
     page.keyboard.press("Enter")
-    person.sees("#refusal", r"must stay on .*\(300, [\d.]+\) mm is beside it")
+    person.sees("#refusal", r"must stay on .*\(300, [\d.]+\) mm is off it")
     page.fill("#line-to_x_mm", "120")
     page.keyboard.press("Enter")
     person.sees("#selection-detail", r"to \(120, [\d.]+\) mm")
@@ -271,7 +271,7 @@ def test_a_sequence_is_collected_followed_and_stopped(
     instrument.tell("motion 60")
     page.fill("#sequence-text", "press:MENU\npress:SAVE")
     begins(person)
-    person.sees("#sequence-said", "Step 1 of 2 is at work")
+    person.sees("#sequence-said", "Step 1 of 2 is running")
     person.shoots("sequence_running")
     page.keyboard.press("Escape")
     person.sees("#sequence-said", "ended. step 1 of 2, press:MENU: aborted: stopped: operator")
@@ -341,7 +341,7 @@ def test_steps_that_were_written_are_back_after_a_reload_and_start_nothing(
         person.until(lambda: "viewing" in tab.inner_text("#you"), 20.0, lambda: "the page is connected")
         person.until(lambda: field() == kept, 15.0, lambda: f"{field()!r}, {kept!r} is awaited")
         said = tab.text_content("#sequence-kept")
-        note = r"written here by Operator \d+ \(\d\d:\d\d:\d\d\) and are back. Nothing starts by itself"
+        note = r"Operator \d+ wrote these steps here \(\d\d:\d\d:\d\d\). Nothing starts by itself"
         assert bool(re.search(note, said)) == bool(kept), said
 
     comes_back(steps)
@@ -448,7 +448,7 @@ def test_an_engineer_teaches_a_panel(person: Operator, teacher: Path) -> None:
     while "recognition listens" in said:  # it may still be starting, and compiling where there is no cache yet
         assert time.monotonic() < deadline, said
         page.click("#teach-write")
-        said = person.sees("#teach-said", "Nothing was written: ", within_s=40.0)
+        said = person.sees("#teach-said", "Nothing written: ", within_s=40.0)
         page.wait_for_timeout(200)
     assert "control 'RUN_STOP' at " in said and "reaches outside the panel 320 x 150 mm" in said
     assert not teacher.exists()

@@ -306,7 +306,7 @@ def test_without_a_link_sequence_and_calibration_are_not_told_as_of_now(
     signs = lambda steps: page.locator(f"{steps} li .icon").all_inner_texts()  # noqa: E731
     page.evaluate(_AT_WORK)
     page.click("#tab-sequence")
-    operator.sees("#sequence-said", "Step 2 of 3 is at work. STOP ends the sequence")
+    operator.sees("#sequence-said", "Step 2 of 3 is running. STOP ends the sequence")
     assert signs("#sequence-steps") == ["✓", "▶", "○"]
     page.click("#tab-calibrate")
     operator.sees("#calibration-text", "Calibrated – 12 samples, rms 0.080 mm")

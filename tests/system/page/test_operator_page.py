@@ -84,7 +84,7 @@ def test_from_sign_in_to_the_measured_result(browser: Any, instrument: Instrumen
     instrument.tell("motion 60")  # a page on a loaded machine may not draw what lasts shorter
     operator.confirms()
     operator.sees("#chip-driver", "Moving")
-    operator.logs(r"Press Run / Stop.*in work", 15.0)
+    operator.logs(r"Press Run / Stop.*in progress", 15.0)
     instrument.tell("motion 1.5")
     row = operator.logs(r"Press Run / Stop.*done", 15.0)
     assert "0.42 mm" in row
@@ -248,7 +248,7 @@ def test_control_is_handed_over(browser: Any, instrument: Instrument) -> None:
     places = [second.page.locator(part).bounding_box() for part in ("#selection-card", "#lease-request")]
     second.page.dblclick("#lease-request")
     first.sees("#lease-text", "Operator 2 asks for control")
-    waits = "You have asked for control: wait until it is handed over"
+    waits = "You have asked for control: wait until the operator hands it over"
     for part in ("#refusal", "#banner"):
         second.sees(part, waits)
     assert second.page.is_disabled("#lease-request"), "it is asked for already"
@@ -288,7 +288,7 @@ def test_control_is_handed_over(browser: Any, instrument: Instrument) -> None:
     second.logs("Press Menu.*done", 15.0)
     second.sees("#banner", "Ready")  # what still moves would be stopped
     second.page.click("#lease-release")
-    second.sees("#banner", "You are no longer in control: it was released, or this page was hidden")
+    second.sees("#banner", "You have lost control: you released it, or this page was hidden")
     first.sees("#banner", "Viewing. Take control to operate")
     first.leaves()
     second.leaves()
@@ -305,7 +305,7 @@ def test_an_old_picture_is_shown_as_such_and_moves_nothing(browser: Any, strict_
     operator.sees("#stale", r"STALE · [1-9]")
     operator.shoots("stale_light")
     assert not page.is_enabled("[data-act=press]")
-    operator.sees("#refusal", r"The picture is \d+ ms old; at most 500 ms")
+    operator.sees("#refusal", r"The picture is \d+ ms old \(limit 500 ms")
     page.keyboard.press("Enter")
     assert "Press" not in page.inner_text("#log")
     operator.sees("#banner", "picture is old")
@@ -367,7 +367,7 @@ def test_a_click_before_the_page_has_drawn_that_it_cannot_be_done_gets_the_reaso
         operator.until(lambda: page.eval_on_selector("[data-act=press]", busy), 20.0, lambda: "the button")
 
     operator.insists(click_when_it_is_late, "picture_late")
-    operator.sees("#refusal", r"The picture is \d{3,} ms old; at most 500 ms")
+    operator.sees("#refusal", r"The picture is \d{3,} ms old \(limit 500 ms")
     for key in (">", "Shift+ArrowLeft"):
         operator.until(lambda: page.is_enabled("[data-act=press]"), 20.0, lambda: "ready again")
         operator.insists(lambda: page.click("[data-control=RUN_STOP]"))

@@ -152,7 +152,7 @@ def test_a_disk_without_space_is_told_before_anything_is_installed(folder: Folde
     (folder.fake / "df").write_text("#!/bin/sh\necho head\necho disk 9 9 70 9% /\n")
     (folder.fake / "df").chmod(0o755)
     code, output = folder.run(PATH=f"{folder.fake}:{os.environ['PATH']}")
-    assert code == 1 and "is full: 70 MB are free, 1000 MB are needed" in output
+    assert code == 1 and "is full: 70 MB are free; expected 1000 MB" in output
     assert folder.calls == []
 
 

@@ -39,4 +39,4 @@ def test_every_button_is_pressed_in_its_middle(layout: str) -> None:
         by = dict(result.details)["measured_by"]
         print(f"{button.name}: {off_mm:.3f} mm off, told {1000 * result.error_m:.3f} by {by}")
         assert off_mm < 0.25 and result.error_m < 0.00025, button.name
-        assert by == ("cameras beside it" if (layout, button.name) in BEFORE_THE_BALLS_COLOUR else "cameras")
+        assert by == ("cameras off it" if (layout, button.name) in BEFORE_THE_BALLS_COLOUR else "cameras")

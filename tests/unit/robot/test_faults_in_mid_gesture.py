@@ -77,15 +77,15 @@ def broken(robot: VirtualRobot, command: str, phase: GoalPhase, fault: Callable[
 @pytest.mark.parametrize(
     ("command", "phase", "fault", "words"),
     [
-        ("press:RUN_STOP", GoalPhase.APPROACH, stall, "the camera has stalled: no picture for 4.0 s"),
-        ("hold:RUN_STOP:5", GoalPhase.CONTACT, stall, "the camera has stalled: no picture for 1.0 s"),
+        ("press:RUN_STOP", GoalPhase.APPROACH, stall, "the camera has stalled: no image for 4.0 s"),
+        ("hold:RUN_STOP:5", GoalPhase.CONTACT, stall, "the camera has stalled: no image for 1.0 s"),
         (
             "press:RUN_STOP",
             GoalPhase.APPROACH,
             hand,
-            "has hidden RUN_STOP|the panel is not recognised|the tip was seen",
+            "has hidden RUN_STOP|no recognition of the panel|the cameras saw the tip",
         ),
-        ("press:RUN_STOP", GoalPhase.APPROACH, dark, "the panel is not recognised|the tip was seen"),
+        ("press:RUN_STOP", GoalPhase.APPROACH, dark, "no recognition of the panel|the cameras saw the tip"),
         ("press:RUN_STOP", GoalPhase.APPROACH, push, "the panel has moved by"),
         ("hold:RUN_STOP:5", GoalPhase.CONTACT, push, "the panel has moved by"),
         ("press:RUN_STOP", GoalPhase.APPROACH, leave, "heartbeat"),

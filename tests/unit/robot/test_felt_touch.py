@@ -58,7 +58,7 @@ def test_keys_are_pressed_with_a_stylus_that_is_0_8_mm_higher(seed: int) -> None
         assert acted == [name]
         if not number:
             details = dict(result.details)
-            assert details["finding"] == "stylus_offset" and "mm higher than its readings say" in result.reason
+            assert details["finding"] == "stylus_offset" and "mm higher than its readings" in result.reason
             assert abs(float(details["finding_m"]) - 0.0008) < 0.0002
 
 

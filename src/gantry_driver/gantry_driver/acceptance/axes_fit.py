@@ -87,7 +87,7 @@ def fit_axes(stops: Sequence[AcceptanceStop], readings: Array, tips: Array) -> A
     rank = int(np.linalg.matrix_rank(design / np.maximum(np.abs(design).max(axis=0), 1e-9))) if len(design) else 0
     if len(design) <= UNKNOWNS or rank < UNKNOWNS:
         raise ValueError(
-            f"the tip was seen at {len(design)} stops, more than {UNKNOWNS} with all backlash pairs are needed: "
+            f"the tip was seen at {len(design)} stops; expected more than {UNKNOWNS} with all backlash pairs: "
             "check the stylus tracker and the cameras' view"
         )
     solution, *_ = np.linalg.lstsq(design, tips, rcond=None)

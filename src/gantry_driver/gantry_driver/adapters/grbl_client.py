@@ -205,7 +205,7 @@ class GrblClient:
 
     def _need(self, *states: str) -> None:
         if self._machine.state not in states:
-            raise GrblError(f"the board is {self._machine.state_text}, {states[0]!r} is needed")
+            raise GrblError(f"the board is {self._machine.state_text}; expected {states[0]!r}")
 
     def _turn_until(self, condition: Callable[[], bool]) -> None:
         while not condition():

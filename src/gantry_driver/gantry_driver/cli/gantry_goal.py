@@ -90,13 +90,13 @@ def parse(arguments: Sequence[str]) -> GoalRequest:
     if (given.control is None) == (not given.point) or len(given.point) not in (0, 2):
         parser.error("give either X Y or --control NAME")
     if given.control is not None and not given.control.replace("_", "").isalnum():
-        parser.error(f"--control {given.control!r}: a name of letters, digits and '_' is needed")
+        parser.error(f"--control {given.control!r}; expected a name of letters, digits and '_'")
     if given.control is not None and given.frame is not None:
         parser.error("--frame belongs to X Y")
     if given.set is not None and len(given.set.split()) != 1:
         parser.error(f"--set {given.set!r}: a mark's name or degrees are needed, without blanks")
     if not given.timeout > 0:
-        parser.error(f"--timeout {given.timeout:g}: above 0 is needed")
+        parser.error(f"--timeout {given.timeout:g}; expected above 0")
     kind, extra = _gesture(given)
     touch = given.press or kind != "press" or given.control is not None or given.frame in (PANEL, CAMERA_LEFT)
     if given.z is not None and given.z > 0:

@@ -61,7 +61,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--driver", default="serial_driver", metavar="NAME", help="name of the driver's node")
     given = parser.parse_args(own_arguments(arguments))
     if not given.seconds > 0:
-        parser.error(f"--seconds {given.seconds:g}: above 0 is needed")
+        parser.error(f"--seconds {given.seconds:g}; expected above 0")
     live = sys.stdout.isatty()
     with ros_session(arguments) as session:
         node = MonitorNode(given.driver)

@@ -341,7 +341,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--json", action="store_true", help="print progress as JSON, one object a line, for programs")
     given = parser.parse_args(own_arguments(arguments))
     if given.timeout is not None and not given.timeout > 0:
-        parser.error(f"--timeout {given.timeout:g}: above 0 is needed")
+        parser.error(f"--timeout {given.timeout:g}; expected above 0")
     with operator_session("gantry_prepare", arguments) as session:
         narrator = Narrator(json=given.json)
         try:

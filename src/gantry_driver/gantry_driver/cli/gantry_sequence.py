@@ -53,7 +53,7 @@ def parse(arguments: Sequence[str]) -> tuple[str, float]:
     if (given.file is None) == (not given.steps):
         parser.error("give either steps or --file")
     if not given.timeout > 0:
-        parser.error(f"--timeout {given.timeout:g}: above 0 is needed")
+        parser.error(f"--timeout {given.timeout:g}; expected above 0")
     try:
         if given.file is None:
             parse_steps(given.steps)

@@ -194,7 +194,7 @@ class OperatorSession:
             nonlocal gone_s, rest_s, last
             if value := answer():
                 return value
-            # A hold-up of this process does not count: messages that arrived during it are still unread.
+            # A blockage of this process does not count: messages that arrived during it are still unread.
             now = time.monotonic()
             turn_s, last = min(now - last, 2 * _TURN_S), now
             gone_s = 0.0 if takers & self.publishers(topic) else gone_s + turn_s

@@ -34,7 +34,7 @@ class PortFault:
 def _seconds(arguments: Mapping[str, Any], name: str = "seconds", default: float | None = None) -> float:
     value = arguments.get(name, default)
     if isinstance(value, bool) or not isinstance(value, (int, float)):
-        raise FaultError(f"{name} = {value!r}: a number of seconds is needed")
+        raise FaultError(f"{name} = {value!r}; expected a number of seconds")
     if not 0 <= value <= MAX_SECONDS:
         raise FaultError(f"{name} = {value!r} is not within 0 to {MAX_SECONDS:g} s")
     return float(value)
@@ -43,7 +43,7 @@ def _seconds(arguments: Mapping[str, Any], name: str = "seconds", default: float
 def _count(arguments: Mapping[str, Any], name: str = "count", *, default: int | None = 1, least: int = 1) -> int:
     value = arguments.get(name, default)
     if isinstance(value, bool) or not isinstance(value, int):
-        raise FaultError(f"{name} = {value!r}: a whole number is needed")
+        raise FaultError(f"{name} = {value!r}; expected a whole number")
     if not least <= value <= MAX_COUNT:
         raise FaultError(f"{name} = {value!r} is not within {least} to {MAX_COUNT}")
     return value
@@ -59,7 +59,7 @@ def _axis(arguments: Mapping[str, Any]) -> int:
 def _mm(arguments: Mapping[str, Any], name: str) -> float:
     value = arguments.get(name)
     if isinstance(value, bool) or not isinstance(value, (int, float)):
-        raise FaultError(f"{name} = {value!r}: a number of mm is needed")
+        raise FaultError(f"{name} = {value!r}; expected a number of mm")
     if not -MAX_MM <= value <= MAX_MM:
         raise FaultError(f"{name} = {value!r} is not within -{MAX_MM:g} to {MAX_MM:g} mm")
     return float(value)
@@ -68,7 +68,7 @@ def _mm(arguments: Mapping[str, Any], name: str) -> float:
 def _switch(arguments: Mapping[str, Any], name: str = "on") -> bool:
     value = arguments.get(name, True)
     if not isinstance(value, bool):
-        raise FaultError(f"{name} = {value!r}: true or false is needed")
+        raise FaultError(f"{name} = {value!r}; expected true or false")
     return value
 
 

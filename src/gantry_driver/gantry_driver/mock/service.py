@@ -233,7 +233,7 @@ class Service:
         if what == "log":
             since, kind = request.get("since", 0), request.get("kind")
             if not isinstance(since, int):
-                return {"ok": False, "error": f"since = {since!r}: a whole number is needed"}
+                return {"ok": False, "error": f"since = {since!r}; expected a whole number"}
             return {"ok": True, "entries": board.journal.since(since, kind)[:MAX_LOG_ENTRIES]}
         if what == "fault":
             kind = request.pop("kind", "")

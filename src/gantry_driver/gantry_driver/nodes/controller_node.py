@@ -127,7 +127,7 @@ class ControllerNode(GraphNode):
         self._see(CameraInfo, "camera_info", qos.SENSOR, self._camera_seen)
         self._hear(Header, "heartbeat", qos.SENSOR, self._beat, self._heartbeats.judge)
         self._sources.watch_clock()
-        # Last: after a hold-up, executors other than our own take waiting messages in this order.
+        # Last: after a blockage, executors other than our own take waiting messages in this order.
         self._take(PointStamped, "goal", qos.COMMAND, _point_goal)
         self._take(String, "command", qos.COMMAND, lambda m: msg.Command(text=m.data))
         every(self, TICK_S, self._tick)

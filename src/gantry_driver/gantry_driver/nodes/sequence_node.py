@@ -3,7 +3,7 @@
 ``sequence`` takes the text of a sequence file (icu_common.core.goals.sequence). If the first line is ``id: TEXT``, the
 answers carry this id. The node sends the controller one command at a time, so a stop of a gesture stops the sequence.
 Between two gestures, a stop or the loss of the operator or the driver ends the sequence; it does not continue when they
-return. A hold-up of this process also ends it, because the sender has meanwhile got the result that no answer came.
+return. A blockage of this process also ends it, because the sender has meanwhile got the result that no answer came.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from icu_common.nodes.timers import every, runs_by_clock_topic, seconds_of
 
 TICK_S = 0.1
 HELD_UP_S = 3.0
-"""Maximum seconds without a tick; a longer hold-up ends the sequence: the page abandons a sequencer silent for 5 s."""
+"""Maximum seconds without a tick; a longer blockage ends the sequence: the page abandons a sequencer silent for 5 s."""
 
 
 class SequenceNode(GraphNode):
@@ -63,7 +63,7 @@ class SequenceNode(GraphNode):
         self._answers = self.create_publisher(DiagnosticArray, "sequence_result", qos.RESULTS)
         self._state = self.create_publisher(String, "sequence_state", qos.LATCHED)
         self._diagnostics = Diagnostics(self)
-        # After a hold-up, executors other than our own take waiting messages in this order: a stop comes first.
+        # After a blockage, executors other than our own take waiting messages in this order: a stop comes first.
         self._codes = StateCodes(self, "state", self._judge_controller)
         self._driver_reports = self._codes.of_another("driver_state")
         self.create_subscription(String, "state", self._on_controller, qos.EACH_LATCHED)
@@ -89,7 +89,7 @@ class SequenceNode(GraphNode):
         return int(self.get_clock().now().nanoseconds)
 
     def _at_work(self) -> SequenceRun | None:
-        """Return the sequence in progress; first end one during which this process was held up."""
+        """Return the sequence in progress; first end one during which this process was blocked."""
         before_s, self._awake_s = self._awake_s, self._steady_s()
         held_up_s = self._awake_s - before_s
         if self._run is not None and held_up_s > HELD_UP_S:

@@ -58,7 +58,7 @@ def read_drawn(picture: Path, path: Path) -> tuple[npt.NDArray[np.uint8], list[n
     except Exception as error:  # scipy may raise anything for a file of another kind
         raise ValueError(f"{path} cannot be read as groundTruth with Boundaries of each person: {error}") from error
     if not drawings:
-        raise ValueError(f"{path} holds the drawings of 0 persons, at least 1 is needed")
+        raise ValueError(f"{path} holds the drawings of 0 persons; expected at least 1")
     for drawn in drawings:
         if drawn.shape != bgr.shape[:2]:
             raise ValueError(f"{path} has a drawing of {drawn.shape} px, {picture.name} has {bgr.shape[:2]}")

@@ -261,7 +261,7 @@ def require_settings(config: CameraNodeConfig) -> None:
     if not getattr(config, name):
         raise ConfigError(f"source = {config.source!r} needs {name}, which is empty")
     if config.fourcc and len(config.fourcc) != 4:
-        raise ConfigError(f"fourcc = {config.fourcc!r}: four characters are needed")
+        raise ConfigError(f"fourcc = {config.fourcc!r}; expected four characters")
 
 
 def open_source(config: CameraNodeConfig, *, now_ns: Clock, stop: threading.Event) -> CameraSource:

@@ -81,7 +81,7 @@ def _read(path: Path, how: int) -> npt.NDArray[Any]:
 
 
 def decoded(path: Path, how: int) -> npt.NDArray[Any] | None:
-    """Return what OpenCV decodes from a file with the flags of ``imread``, or None.
+    """Return the image that OpenCV decodes from a file with the flags of ``imread``, or None.
 
     The file is read here and OpenCV gets the bytes: a name that is not UTF-8 (from an old disk or another system) makes
     OpenCV terminate the process.
@@ -199,5 +199,5 @@ def _homography(path: Path) -> npt.NDArray[np.float64]:
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error
     if values.shape != (9,) or not np.isfinite(values).all() or np.linalg.matrix_rank(values.reshape(3, 3)) < 3:
-        raise ValueError(f"{path} is no homography: 3 x 3 finite numbers are needed, and an inverse")
+        raise ValueError(f"{path} is no homography; expected 3 x 3 finite numbers, and an inverse")
     return values.reshape(3, 3)

@@ -43,7 +43,7 @@ def scenes(folder: Path, truth_scale: float = 1.0, scale: float = 1.0) -> Iterat
     if not 0.05 <= scale <= 1.0:
         raise ValueError(f"scale {scale:g}: from 0.05 to 1 is possible")
     if not 0.0 < truth_scale < math.inf:
-        raise ValueError(f"truth scale {truth_scale:g}: more than 0 is needed, and finite")
+        raise ValueError(f"truth scale {truth_scale:g}; expected more than 0, and finite")
     found: list[tuple[str, Path, Path, Path]] = []
     for left in sorted(p for p in folder.rglob("*") if p.suffix.lower() in SUFFIXES):
         for first, second, known in FORMS:

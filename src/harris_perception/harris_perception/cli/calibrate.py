@@ -37,14 +37,14 @@ Say: TypeAlias = Callable[[str], None]
 def _columns_by_rows(text: str) -> tuple[int, int]:
     match = re.fullmatch(r"(\d+)x(\d+)", text)
     if match is None:
-        raise argparse.ArgumentTypeError(f"{text!r}: inner corners as COLUMNSxROWS, for example 9x6, are needed")
+        raise argparse.ArgumentTypeError(f"{text!r}; expected inner corners as COLUMNSxROWS, for example 9x6")
     return int(match[1]), int(match[2])
 
 
 def _camera_name(text: str) -> str:
     # camera_info_manager accepts only letters, digits and underscores.
     if not re.fullmatch(r"\w+", text, re.ASCII):
-        raise argparse.ArgumentTypeError(f"{text!r}: a name of letters, digits and '_' is needed")
+        raise argparse.ArgumentTypeError(f"{text!r}; expected a name of letters, digits and '_'")
     return text
 
 
@@ -274,7 +274,7 @@ def mono(options: argparse.Namespace) -> int:
 
 def stereo(options: argparse.Namespace) -> int:
     if options.names[0] == options.names[1]:  # the names identify the results
-        raise ValueError(f"--names {' '.join(options.names)}: two different names are needed")
+        raise ValueError(f"--names {' '.join(options.names)}; expected two different names")
     check_bounds(options, views=(1, math.inf), within=(0, math.inf))
     board, config = _board(options), _config(options)
     if options.live:

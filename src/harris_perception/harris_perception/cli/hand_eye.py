@@ -56,7 +56,7 @@ def read_poses(path: Path) -> tuple[list[Transform], list[Transform]]:
         except ValueError as error:
             raise ValueError(f"{path}, line {number}: {error}") from error
         if len(values) != COLUMNS:
-            raise ValueError(f"{path}, line {number}: {len(values)} values, {COLUMNS} are needed")
+            raise ValueError(f"{path}, line {number}: {len(values)} values; expected {COLUMNS}")
         try:
             grippers.append(_pose(values[:7]))
             targets.append(_pose(values[7:]))
@@ -79,7 +79,7 @@ def _pose(values: Array) -> Transform:
     length = float(np.linalg.norm(values[3:]))
     if abs(length - 1) > _UNIT:
         raise ValueError(
-            f"quaternion {values[3:].tolist()} has length {length:.3f}, 1 to within {_UNIT:g} is needed: "
+            f"quaternion {values[3:].tolist()} has length {length:.3f}; expected 1 to within {_UNIT:g}: "
             "the order is x, y, z in metres, then the quaternion's x, y, z, w"
         )
     return pose
@@ -124,7 +124,7 @@ def main(arguments: list[str] | None = None) -> int:
         names = ("base_from_camera", "gripper_from_target")
     try:
         if options.output is not None and options.output.resolve() == options.poses.resolve():
-            raise ValueError(f"--output {options.output}: the same file is read, another name is needed")
+            raise ValueError(f"--output {options.output}: the same file is read; expected another name")
         grippers, targets = read_poses(options.poses)
         if options.fixed_camera:
             grippers = [g.inverse() for g in grippers]

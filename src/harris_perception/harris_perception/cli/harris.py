@@ -81,7 +81,7 @@ def detect(options: argparse.Namespace) -> int:
 def _over_scales(options: argparse.Namespace) -> HarrisLaplaceConfig:
     most = {item.name: item.setting.maximum for item in settings_of(HarrisLaplaceConfig)}["levels"]
     if not 1 <= options.scales <= (most or 1):
-        raise ValueError(f"--scales {options.scales}: 1 to {most} is needed")
+        raise ValueError(f"--scales {options.scales}; expected 1 to {most}")
     select = options.run is detect and options.select
     return HarrisLaplaceConfig(detector=_settings(HarrisConfig, options.set), levels=options.scales, select=select)
 
@@ -212,7 +212,7 @@ def _check_files(options: argparse.Namespace) -> None:
         if path is None:
             continue
         if path.resolve() in taken:
-            raise ValueError(f"--{name} {path}: the same file {taken[path.resolve()]}, another name is needed")
+            raise ValueError(f"--{name} {path}: the same file {taken[path.resolve()]}; expected another name")
         taken[path.resolve()] = f"is written by --{name}"
 
 

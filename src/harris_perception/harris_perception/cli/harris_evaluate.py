@@ -57,7 +57,7 @@ def evaluate(options: argparse.Namespace) -> int:
     """
     for name, value, least, most in (("count", options.count, 1, 5000), ("seed", options.seed, 0, 2**32 - 1)):
         if not least <= value <= most:
-            raise ValueError(f"--{name} {value}: {least} to {most} is needed")
+            raise ValueError(f"--{name} {value}; expected {least} to {most}")
     drawn = [source for source in options.sources if source.is_dir() and any(source.rglob("*.mat"))]
     others = [source for source in options.sources if source not in drawn or any(sequences(source))]
     groups = list(_groups(others, options))
@@ -97,7 +97,7 @@ def _groups(sources: Iterable[Path], options: argparse.Namespace) -> Iterator[_G
             photographs = [source]
         for photograph in photographs:
             if photograph.resolve() in curves:
-                raise ValueError(f"{photograph}: curves would be written over it, another --output is needed")
+                raise ValueError(f"{photograph}: curves would be written over it; expected another --output")
             _to_be_warped(photograph)
             yield _Group(sum(map(len, WARPS.values())), partial(_warps, photograph, options.seed))
 
@@ -110,7 +110,7 @@ def _to_be_warped(path: Path) -> npt.NDArray[np.uint8]:
     picture = read_gray(path)
     if min(picture.shape) < _LEAST_PX:
         size = f"{picture.shape[1]} x {picture.shape[0]} px"
-        raise ValueError(f"{path}: {size}, at least {_LEAST_PX} each way are needed to be warped")
+        raise ValueError(f"{path}: {size}; expected at least {_LEAST_PX} each way to be warped")
     return picture
 
 

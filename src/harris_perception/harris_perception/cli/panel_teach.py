@@ -64,7 +64,7 @@ def _picture(given: argparse.Namespace) -> int:
     try:
         corners = [(float(u), float(v)) for u, v in (text.split(",") for text in given.corners)]
     except ValueError:
-        raise TeachingError(f"--corners {' '.join(given.corners)}: pixels u,v are needed") from None
+        raise TeachingError(f"--corners {' '.join(given.corners)}; expected pixels u,v") from None
     lesson = Lesson(
         model=given.model,
         title=given.title or given.model,

@@ -52,8 +52,8 @@ from icu_common.nodes.timers import every, seconds_of
 _KEPT_CORNERS = 8
 _TICK_S = 0.02
 _HELD_UP_S, _LONGEST_EXCUSE_S = 0.2, 5.0
-"""Interval of ticks above which this process was held up, so that images may still wait for it. It is also the longest
-time for which this delays the loss of the panel."""
+"""Interval of ticks above which this process counts as blocked, so that images may still wait for it. It is
+also the longest time for which this delays the loss of the panel."""
 _TRACKED = 15
 """Number of successive images with the panel after which the node unsubscribes from corners: tracking needs none."""
 _UNCHANGED = 4

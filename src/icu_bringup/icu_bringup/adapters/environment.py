@@ -27,7 +27,7 @@ def check_space(folder: Path) -> None:
     free = shutil.disk_usage(folder).free
     if free < NEEDED_BYTES:
         raise GraphDescriptionError(
-            f"the disk of {folder} is full: {free >> 20} MB are free, {NEEDED_BYTES >> 20} MB are needed; "
+            f"the disk of {folder} is full: {free >> 20} MB are free; expected {NEEDED_BYTES >> 20} MB; "
             "delete files there, or choose another folder: --state FOLDER"
         )
 

@@ -135,7 +135,7 @@ class Watched:
 
 
 def _stopped_by(pid: int) -> str:
-    """Return what has stopped a process, _SIGNAL or _DEBUGGER (proc(5)), "" if it is not stopped."""
+    """Return the cause of a stopped process, _SIGNAL or _DEBUGGER (proc(5)), "" if it is running."""
     with contextlib.suppress(OSError):
         state = Path(f"/proc/{pid}/stat").read_text(errors="replace").rpartition(")")[2].split()[0]
         return state if state in (_SIGNAL, _DEBUGGER) else ""

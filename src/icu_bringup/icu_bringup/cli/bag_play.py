@@ -146,7 +146,7 @@ _DRIVER_FOUND_S, _LOOK_S = 1.0, 0.5
 
 
 class Playing:
-    """One run of the command."""
+    """One run of ``bag_play``, from the start to the exit code."""
 
     def __init__(
         self, bag: BagReader, options: argparse.Namespace, session: RosSession, keys: Callable[[], str]
@@ -235,7 +235,7 @@ class Playing:
         for state in recorded or sorted({str(place / _DRIVER) for place in self._node.places}):
             if found := self._node.others(state):
                 raise BagError(
-                    f"a driver is at work here ({found}), and what was recorded would be taken for what its cameras "
+                    f"a driver is running here ({found}), and what was recorded would be taken for what its cameras "
                     "see: play it in another ROS_DOMAIN_ID, or with --moving"
                 )
 

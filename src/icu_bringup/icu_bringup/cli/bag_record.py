@@ -139,7 +139,7 @@ def default_name(begun: datetime) -> Path:
 
 def _codec(options: argparse.Namespace) -> PictureCodec | None:
     if options.quality is not None and options.compress != "jpeg":
-        raise ValueError(f"--quality {options.quality} is of JPEG: --compress jpeg is needed")
+        raise ValueError(f"--quality {options.quality} is of JPEG; expected --compress jpeg")
     quality = _QUALITY if options.quality is None else options.quality
     return PictureCodec(options.compress, quality) if options.compress else None
 

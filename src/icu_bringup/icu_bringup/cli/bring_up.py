@@ -189,7 +189,7 @@ class BringUp:
     def _check_names(self, programs: list[Program]) -> None:
         for text in self.options.set:
             if not _SETTING.fullmatch(text):
-                raise GraphDescriptionError(f"--set {text}: PROGRAM.PARAMETER=VALUE is needed")
+                raise GraphDescriptionError(f"--set {text}; expected PROGRAM.PARAMETER=VALUE")
         names = {p.name for p in programs}
         given = {*self.options.only, *self.options.without, *(text.partition(".")[0] for text in self.options.set)}
         if given - names:

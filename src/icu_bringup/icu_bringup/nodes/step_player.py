@@ -90,7 +90,7 @@ class StepPlayer:
             self._reach(service)
 
     def _missing(self, processes: int) -> str:
-        """Return what is still missing for playback, "" if nothing is."""
+        """Return the missing requirement of playback, "" if none is missing."""
         reasons = []
         if (found := self._gate.processes() - 1) < processes:  # minus the player itself
             reasons.append(f"{found} of {processes} processes play in step (was the graph started with --in-step?)")

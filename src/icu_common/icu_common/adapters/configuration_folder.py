@@ -21,6 +21,8 @@ def configuration_folder() -> Path:
         return Path(named).resolve()
     own = Path(sys.argv[0]).resolve()
     shares = [own.parents[2] / "share"] if len(own.parents) > 2 else []
+    if len(own.parents) > 3:  # colcon installs each package into a folder of its own
+        shares.append(own.parents[3] / "icu_bringup" / "share")
     shares += [Path(p) / "share" for p in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if p]
     places = [share / "icu_bringup" / "config" for share in shares]
     for place in places:

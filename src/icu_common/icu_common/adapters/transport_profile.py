@@ -28,7 +28,7 @@ def check_environment() -> None:
     except ValueError:
         known = False
     if not known:
-        raise ValueError(f"ROS_DOMAIN_ID = {domain!r}: a whole number from 0 to {_LAST_DOMAIN} is needed")
+        raise ValueError(f"ROS_DOMAIN_ID = {domain!r}; expected a whole number from 0 to {_LAST_DOMAIN}")
     for peer in filter(None, os.environ.get("ROS_STATIC_PEERS", "").split(";")):
         try:
             socket.getaddrinfo(peer, None)

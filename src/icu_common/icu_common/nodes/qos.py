@@ -34,7 +34,7 @@ RESULTS = QoSProfile(depth=10, history=HistoryPolicy.KEEP_LAST, reliability=Reli
 """Results and streams without losses."""
 
 REPORTS = QoSProfile(depth=200, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.RELIABLE)
-"""Reader of all programs' reports that decides by their codes: none is lost while it is held up for seconds."""
+"""Reader of all programs' reports that decides by their codes: none is lost while it is blocked for seconds."""
 
 LATCHED = QoSProfile(
     depth=1,

@@ -44,9 +44,9 @@ def _state(options: argparse.Namespace, layout: PanelLayout) -> InstrumentState:
         try:
             angle_deg = _finite(degrees)
         except (ValueError, argparse.ArgumentTypeError):
-            raise ValueError(f"--turn {item}: NAME=DEGREES is needed") from None
+            raise ValueError(f"--turn {item}; expected NAME=DEGREES") from None
         if (control := layout.control(name)).kind != "knob":
-            raise ValueError(f"--turn {item}: {name} is a {control.kind}, a knob is needed")
+            raise ValueError(f"--turn {item}: {name} is a {control.kind}; expected a knob")
         state = turn(state, name, angle_deg, control.detent_deg)
     return state
 
@@ -91,7 +91,7 @@ def main(arguments: list[str] | None = None) -> int:
         if not max(map(abs, options.tip)) <= _FARTHEST_M:
             raise ValueError(f"{_tip(options)}: at most {_FARTHEST_M:g} m from base_link's origin are drawn")
         if options.hide and min(options.hide[2:]) <= 0:
-            raise ValueError(f"--hide {' '.join(f'{v:g}' for v in options.hide)}: W and H above 0 are needed")
+            raise ValueError(f"--hide {' '.join(f'{v:g}' for v in options.hide)}; expected W and H above 0")
         config = from_mapping(BenchConfig, values_of_pairs(options.set))
         layout = load_layout(layout_file)
         state = _state(options, layout)

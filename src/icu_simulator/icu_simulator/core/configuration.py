@@ -18,7 +18,7 @@ def _check_lengths(config: Config, **lengths: int) -> None:
     for name, count in lengths.items():
         value = getattr(config, name)
         if len(value) != count:
-            raise ConfigError(f"{name} = {value!r} has {len(value)} values, {count} are needed")
+            raise ConfigError(f"{name} = {value!r} has {len(value)} values; expected {count}")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -85,7 +85,7 @@ class AuditFile:
         if not _lock(self._file) or not os.path.samestat(os.fstat(self._file.fileno()), path.stat()):
             raise BlockingIOError(f"{path} is written by another bridge")
         files = older_files(path)
-        if files and files[-1].samefile(path):  # power failed in the rename: it is complete under its own name
+        if files and files[-1].samefile(path):  # power failed in the rename: the complete file has both names
             files.pop().unlink()
         with path.open(encoding="utf-8", errors=BAD_BYTES) as lines:
             first = next(lines, "")

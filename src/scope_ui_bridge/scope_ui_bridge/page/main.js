@@ -40,7 +40,7 @@ let known = false; // the first message of the bridge has arrived
 let labelled = false; // whether the controls' names include their seen state, which needs a link
 desk.changed = render;
 
-// --- what comes from the bridge ------------------------------------------------------------------------------------
+// --- messages from the bridge --------------------------------------------------------------------------------------
 
 link.addEventListener("hello", ({ detail }) => {
   if (known) video.renew(); // if this connection was hanging, the video's hangs as well

@@ -25,7 +25,7 @@ def test_every_code_of_grbl_has_a_sentence(text: str) -> None:
     assert meaning.code.startswith("grbl.")
 
 
-RESET = "the board was reset by itself, its position is lost"
+RESET = "the board has reset itself and lost its position"
 
 
 def logged(rig: Rig) -> list[str]:
@@ -52,7 +52,7 @@ def test_lines_lost_with_a_later_reset_of_a_row_are_logged_at_its_end() -> None:
     assert [note.text for note in log.reset(RESET, 2, 10.0)] == [f"{RESET}; 2 lines unanswered"]
     assert log.reset(RESET, 0, 11.0) == log.reset(RESET, 3, 12.5) == log.tick(12.5 + RESETS_APART_S - 0.1) == []
     assert [note.text for note in log.tick(12.5 + RESETS_APART_S)] == [
-        "the board was reset by itself 2 more times within 2.5 s; 3 lines unanswered"
+        "the board has reset itself 2 more times within 2.5 s; 3 lines unanswered"
     ]
     assert log.tick(30.0) == [] and log.reset(RESET, 0, 31.0)
     assert not log.repeats("unhomed"), "a new row"
@@ -63,7 +63,7 @@ def test_two_resets_far_apart_get_a_line_each() -> None:
     for _ in range(2):
         rig.board.power_cycle()
         rig.run_for(RESETS_APART_S + 1.0)
-    assert logged(rig) == ["the board was reset by itself, its position is lost; 0 lines unanswered"] * 2
+    assert logged(rig) == ["the board has reset itself and lost its position; 0 lines unanswered"] * 2
 
 
 class WorkPositions(Board):
@@ -88,8 +88,8 @@ class WorkPositions(Board):
 def test_a_grblhal_without_machine_position_names_the_missing_bit_and_can_be_mended() -> None:
     rig = Rig(board=WorkPositions("478")).connect()
     assert rig.states[-1] == (
-        "mismatch: $10 is 478: its reports tell no machine position without bit 0 (1) or bit 5 (32), "
-        "the configuration says 479"
+        "mismatch: $10 is 478: its reports have no machine position without bit 0 (1) or bit 5 (32); "
+        "expected 479 (the configuration)"
     )
     assert rig.machine.write_settings(rig.now) == ""
     rig.until(lambda: rig.state == "unhomed")
@@ -110,7 +110,7 @@ def test_homing_does_not_hang_where_reports_have_no_machine_position() -> None:
     assert rig.machine.home(rig.now) == ""
     rig.until(lambda: rig.state == "stopped", 20.0)
     assert rig.now - begun < 8.0
-    assert "the board's reports tell no machine position: $10 is 478, set its bit 0 (1)" in " ".join(rig.states)
+    assert "the board's reports have no machine position: $10 is 478, set its bit 0 (1)" in " ".join(rig.states)
 
 
 class StrangeReports(Board):

@@ -82,7 +82,7 @@ def test_wrong_sequences(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> 
         (["--file", str(tmp_path / "none.yaml")], "No such file"),
         (["poke:A"], "step 1: gesture 'poke'"),
         ([], "give either steps or --file"),
-        (["press:A", "--timeout", "0"], "--timeout 0: above 0"),
+        (["press:A", "--timeout", "0"], "--timeout 0; expected above 0"),
         (["press:A", "--timeout", "inf"], "--timeout: 'inf' is not finite"),
     ):
         with pytest.raises(SystemExit) as ended:

@@ -53,7 +53,7 @@ def other_steps() -> Rig:
 def test_settings_that_differ_are_written_accepted_or_corrected() -> None:
     rig = other_steps()
     said = refused(rig.states[-1], rig.code())
-    assert "the driver is 'mismatch: $100 is 250.000, the configuration says 80'" in said
+    assert "the driver is 'mismatch: $100 is 250.000; expected 80 (the configuration)'" in said
     for way in ("gantry/write_settings", "gantry_gcode settings --write", "gantry/accept_settings", "machine.*"):
         assert way in said
     assert "gantry/reset" not in said and "nothing to reset" in rig.machine.reset(rig.now)
@@ -85,7 +85,7 @@ def test_a_mismatch_that_says_itself_what_to_do_gets_no_other_advice() -> None:
 
 @pytest.mark.parametrize("code", [None, "", "driver.of_a_newer_program"])
 def test_no_advice_is_taken_from_the_words_of_a_mismatch(code: str | None) -> None:
-    text = "mismatch: $110 is 500.000, the configuration says 12000"
+    text = "mismatch: $110 is 500.000; expected 12000 (the configuration)"
     assert refused(text, code) == f"the driver is {text!r}"
 
 

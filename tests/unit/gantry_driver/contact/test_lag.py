@@ -89,7 +89,7 @@ def test_a_stylus_that_was_bumped_is_reported_once_and_corrected() -> None:
     memory = HeightMemory(CONFIG)
     finding = memory.looked(0.0008, 0.00005)
     assert finding is not None and finding.code is HeightFindingCode.STYLUS_OFFSET
-    assert finding.text() == "the stylus is 0.8 mm higher than its readings say"
+    assert finding.text() == "the stylus is 0.8 mm higher than its readings"
     assert memory.stylus.value_m == pytest.approx(0.0008, abs=2e-5)
     assert memory.looked(0.00083, 0.00005) is None
 

@@ -27,7 +27,7 @@ def test_a_stylus_off_by_less_than_is_corrected_presses_and_is_reported(seed: in
     assert result.outcome is Outcome.REACHED and result.touch is Felt.TOUCHED, result
     assert min(p[2] for p in bench.lowest) == pytest.approx(_top(0.003) + 0.002 - bench.stroke_m, abs=2e-5)
     assert details["finding"] == "stylus_offset" and float(details["finding_m"]) == pytest.approx(0.0008, abs=2e-4)
-    assert result.reason == "the stylus is 0.8 mm higher than its readings say"
+    assert result.reason == "the stylus is 0.8 mm higher than its readings"
     again = bench.do("press:SINGLE")
     assert again.outcome is Outcome.REACHED and "finding" not in dict(again.details), "corrected by now"
 
@@ -50,7 +50,7 @@ def test_a_panel_that_is_not_where_the_cameras_see_it_is_not_pressed() -> None:
     bench.sunk_m = 0.02
     result = bench.do("press:RUN_STOP")
     assert result.outcome is Outcome.ABORTED and result.touch is Felt.NOT_TOUCHED, result
-    assert result.code == "not_touched" and "nothing was touched down to" in result.reason
+    assert result.code == "not_touched" and "the stylus touched nothing down to" in result.reason
     lowest = min(p[2] for p in bench.lowest)
     assert lowest == pytest.approx(_top(0.003) + 0.002 - bench.controller.config.contact.max_travel_m, abs=3e-4)
 

@@ -138,7 +138,7 @@ def test_a_path_is_refused_for_its_first_breach_and_depth_before_the_rest() -> N
 @pytest.mark.parametrize(
     ("fault", "text", "unit"),
     [
-        ("no_panel", "the panel's plane is not known: the stylus would extend 12.5 mm (limit 3.1 mm)", "m"),
+        ("no_panel", "the panel's plane is unknown: the stylus would extend 12.5 mm (limit 3.1 mm)", "m"),
         ("too_deep", "the path goes 12.5 mm beyond the panel (limit 3.1 mm)", "m"),
         ("too_low", "the path moves sideways 12.5 mm above the panel (limit 3.1 mm)", "m"),
         ("sideways", "the path moves 12.5 mm sideways with the stylus extended (limit 3.1 mm)", "m"),

@@ -115,14 +115,14 @@ def test_a_silent_tracker_fails_the_look_as_late_and_a_tracker_that_sees_no_tip_
     late = Bench().start()
     late.on_phase[GoalPhase.LOOK] = silence("tip", "tracker")
     result = late.do("press:RUN_STOP")
-    assert result.code == "late_image" and "the tip was seen 0 times" in result.reason
+    assert result.code == "late_image" and "the cameras saw the tip 0 times" in result.reason
     assert [report.then for report in delays(late)] == ["waiting up to 6 s", "waiting up to 10 s"]
 
     unseen = Bench(config(beside_m=0.0)).start()
     unseen.on_phase[GoalPhase.LOOK] = silence("tip")
     result = unseen.do("press:RUN_STOP")
     assert result.outcome is Outcome.ABORTED and result.code == "" and not delays(unseen)
-    assert "the tip was seen 0 times" in result.reason
+    assert "the cameras saw the tip 0 times" in result.reason
 
 
 def test_a_recognition_that_reports_no_panel_is_not_late() -> None:
@@ -134,7 +134,7 @@ def test_a_recognition_that_reports_no_panel_is_not_late() -> None:
 
     bench.on_phase[GoalPhase.LOOK] = cover
     result = bench.do("press:RUN_STOP")
-    assert "the panel is not recognised for 2.0 s" in result.reason and result.code == ""
+    assert "no recognition of the panel for 2.0 s" in result.reason and result.code == ""
 
 
 def test_after_contact_no_limit_grows_and_no_code_asks_for_a_repetition() -> None:
@@ -142,7 +142,7 @@ def test_after_contact_no_limit_grows_and_no_code_asks_for_a_repetition() -> Non
     bench.on_phase[GoalPhase.TOUCH] = silence("camera")
     result = bench.do("press:RUN_STOP")
     assert result.outcome is Outcome.ABORTED and result.code == ""
-    assert "no picture for 1.0 s" in result.reason and "look at the panel before trying again" in result.reason
+    assert "no image for 1.0 s" in result.reason and "look at the panel before trying again" in result.reason
     assert dict(result.details)["delayed"] == "image of the left camera"
 
 
@@ -183,7 +183,9 @@ def test_a_trajectory_that_reaches_the_driver_late_is_sent_again(tries: int) -> 
         bench._answer = answer  # type: ignore[method-assign]
     result = bench.go(0.2, 0.1)
     assert result.outcome is Outcome.REACHED, result
-    assert [report.then for report in delays(bench)] == [f"it is sent again, try {n} of 3" for n in range(2, tries + 1)]
+    assert [report.then for report in delays(bench)] == [
+        f"the controller sends it again, try {n} of 3" for n in range(2, tries + 1)
+    ]
     sent = [action for action in bench.actions if isinstance(action, msg.SendTrajectory)]
     assert len({action.stamp_ns for action in sent}) == len(sent) == tries
     assert all(np.array_equal(action.path.points, sent[0].path.points) for action in sent)

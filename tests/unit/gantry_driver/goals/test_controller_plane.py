@@ -85,7 +85,7 @@ def test_no_plane_is_told_while_the_stylus_is_extended_or_the_machine_moves() ->
 def test_a_goal_right_after_the_calibration_waits_until_the_driver_has_the_plane() -> None:
     """Without the plane the driver would reject its way down."""
     bench = calibrated()
-    assert planes(bench) == [] and bench.controller.state == "waiting: the panel's plane is being measured"
+    assert planes(bench) == [] and bench.controller.state == "waiting: the measurement of the panel's plane is running"
     assert bench.do("press:RUN_STOP").outcome is Outcome.REACHED
     first = next(i for i, action in enumerate(bench.actions) if isinstance(action, msg.ReportPlane))
     assert not any(isinstance(action, msg.SendTrajectory) for action in bench.actions[:first])
@@ -97,7 +97,7 @@ def test_a_driver_that_was_gone_gets_the_plane_again_before_a_goal_begins() -> N
     assert planes(bench) and bench.controller.state == "ready"
     bench.tell(msg.DriverState(text="disconnected: the guard has ended"))
     bench.tell(msg.DriverState(text="idle"))
-    assert bench.controller.state == "waiting: the panel's plane is being measured"
+    assert bench.controller.state == "waiting: the measurement of the panel's plane is running"
     count = len(planes(bench))
     bench.run(1.0)
     assert len(planes(bench)) > count and bench.controller.state == "ready"

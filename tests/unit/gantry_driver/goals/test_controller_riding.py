@@ -132,7 +132,7 @@ def waits(bench: Bench, command: str = "press:RUN_STOP id=late") -> None:
     bench.tell(msg.Command(text=command))
     bench.run(1.0)
     result = bench.results[-1]
-    assert (result.outcome, result.reason) == (Outcome.ACCEPTED, "waiting for the panel to be seen"), result
+    assert (result.outcome, result.reason) == (Outcome.ACCEPTED, "waiting for the cameras to see the panel"), result
     assert bench.controller.phase is GoalPhase.SIGHT and bench.controller.state == "looking"
     assert len(bench.paths) == before
 
@@ -163,7 +163,7 @@ def test_a_stop_ends_the_wait_for_the_panel_at_once() -> None:
     bench.tell(msg.DriverState(text=bench.driver))
     result = bench.finals[-1]
     assert result.goal_id == "late" and result.outcome is Outcome.ABORTED
-    assert "stopped: on request" in result.reason and "no more motion was ordered" in result.reason
+    assert "stopped: on request" in result.reason and "no further motion" in result.reason
     bench.talking.add("panel")
     bench.run(1.0)
     bench.driver = "idle"
@@ -201,7 +201,7 @@ def test_what_cannot_be_touched_is_told_once_the_panel_is_seen(command: str, rea
     before = len(bench.paths)
     bench.talking.add("panel")
     result = bench.run_goal()
-    assert result.outcome is Outcome.ABORTED and result.reason.endswith("; nothing was moved"), result
+    assert result.outcome is Outcome.ABORTED and result.reason.endswith("; nothing moved"), result
     assert reason in result.reason and len(bench.paths) == before
 
 
@@ -216,7 +216,9 @@ def test_what_cannot_be_touched_is_told_once_the_panel_is_seen(command: str, rea
 def test_a_pixel_of_a_picture_from_elsewhere_is_refused_at_once(command: str) -> None:
     bench = unseen_after_a_drag()
     result = bench.do(command)
-    assert result.outcome is Outcome.REJECTED and "from where the cameras have come to" in result.reason, result
+    assert result.outcome is Outcome.REJECTED and "have not seen the panel from their new position" in result.reason, (
+        result
+    )
 
 
 def test_what_the_controls_show_is_awaited_with_the_panel() -> None:

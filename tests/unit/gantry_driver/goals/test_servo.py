@@ -41,7 +41,7 @@ def test_a_look_averages_the_last_pictures_of_its_time() -> None:
 def test_a_look_is_not_done_while_too_few_agree_sideways() -> None:
     few = looked(TipLook(after_ns=0, needed=2, kept=4), (1, (0.0, 0.0, 0.0)))
     assert few.seen(BASE_FROM_CAMERA, SPREAD_M) is None
-    assert few.unseen_text(SPREAD_M) == "the tip was seen 1 times, 2 times within 0.6 mm are needed"
+    assert few.unseen_text(SPREAD_M) == "the cameras saw the tip 1 times (at least 2 times within 0.6 mm)"
     apart = looked(few, (2, (0.0, 0.0013, 0.0)))
     assert apart.seen(BASE_FROM_CAMERA, SPREAD_M) is None
     assert looked(few, (2, (0.0, 0.0011, 0.0))).seen(BASE_FROM_CAMERA, SPREAD_M) is not None
@@ -54,9 +54,17 @@ def test_a_look_is_not_done_while_too_few_agree_sideways() -> None:
         ((0.14, 0.0, 0.0), 0, "touch"),
         ((0.16, 0.0, 0.0), 0, "correct"),
         ((0.49, 0.0, 0.0), 3, "touch"),
-        ((0.0, 0.51, 0.0), 3, "the seen error is 0.51 mm after 3 corrections, 0.5 mm are allowed"),
-        ((3.0, 4.1, -1.0), 0, "the tip is seen 5.08 mm beside and -1.00 mm above its place, 5 and 3 mm are allowed"),
-        ((0.0, 0.0, 3.1), 0, "the tip is seen 0.00 mm beside and +3.10 mm above its place, 5 and 3 mm are allowed"),
+        ((0.0, 0.51, 0.0), 3, "the seen error is 0.51 mm after 3 corrections (limit 0.5 mm)"),
+        (
+            (3.0, 4.1, -1.0),
+            0,
+            "the tip is seen 5.08 mm to the side of and -1.00 mm above its target (limits 5 and 3 mm)",
+        ),
+        (
+            (0.0, 0.0, 3.1),
+            0,
+            "the tip is seen 0.00 mm to the side of and +3.10 mm above its target (limits 5 and 3 mm)",
+        ),
     ],
 )
 def test_verdicts_at_their_bounds(error_mm: tuple[float, float, float], corrections: int, verdict: str) -> None:
@@ -93,7 +101,7 @@ def test_errors_that_do_not_follow_the_corrections_end_it() -> None:
     np.testing.assert_allclose(first.correction, [-0.0015, 0.0])
     second = judge(error, first, CONFIG)
     assert isinstance(second, Fault)
-    assert "add up to a correction by 6.00 mm, 5 mm are allowed" in second.cause
+    assert "add up to a correction by 6.00 mm (limit 5 mm)" in second.cause
 
 
 def test_a_touch_must_have_been_seen_in_its_place() -> None:
@@ -101,11 +109,11 @@ def test_a_touch_must_have_been_seen_in_its_place() -> None:
     unseen = math.nan
     assert contact_fault(0.0005, 0.003, look, CONFIG) is None
     above = contact_fault(0.0005, 0.0031, look, CONFIG)
-    assert above is not None and above.cause.startswith("the tip was seen 3.1 mm above the surface")
+    assert above is not None and above.cause.startswith("the tip was 3.1 mm above the surface")
     assert not above.tells_touch
     beside = contact_fault(0.0006, 0.0, look, CONFIG)
-    assert beside == Fault(cause="touched 0.60 mm beside the target, 0.5 mm are allowed", tells_touch=True)
+    assert beside == Fault(cause="touched 0.60 mm off the target (limit 0.5 mm)", tells_touch=True)
     blind = contact_fault(unseen, unseen, look, CONFIG)
     assert blind is not None and blind.tells_touch
-    assert blind.cause.startswith("touched, but not measured: the tip was seen 0 times")
+    assert blind.cause.startswith("touched, but not measured: the cameras saw the tip 0 times")
     assert contact_fault(unseen, unseen, look, ControllerConfig(require_servo=False)) is None

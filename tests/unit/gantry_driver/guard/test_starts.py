@@ -74,7 +74,7 @@ def test_a_refused_question_for_the_build_closes_the_port() -> None:
     board.reset()
     rig.until(lambda: closings(rig))
     (reason,) = closings(rig)
-    assert reason.startswith("$I was refused: error:3") and reason.endswith("at line 1 '$I'")
+    assert reason.startswith("the board rejected $I: error:3") and reason.endswith("at line 1 '$I'")
 
 
 def test_a_firmware_with_a_name_that_nobody_knows_keeps_the_banner_s_dialect() -> None:
@@ -143,8 +143,8 @@ def test_without_any_heartbeat_nothing_is_homed() -> None:
 @pytest.mark.parametrize(
     ("told", "reason"),
     [
-        (0, "the board has not told its work offset (WCO) yet"),
-        (1, "the board has not told its work offset (WCO) twice alike yet"),
+        (0, "the board has not sent its work offset (WCO) yet"),
+        (1, "the board has not sent the same work offset (WCO) twice yet"),
     ],
 )
 def test_a_program_waits_for_a_work_offset_that_two_reports_have_told(told: int, reason: str) -> None:
@@ -218,13 +218,22 @@ def test_a_fault_of_a_motion_is_its_code_as_text(fault: MotionFault) -> None:
 @pytest.mark.parametrize(
     ("make", "reason"),
     [
-        (lambda: MachineConfig(travel_mm=(360.0, 220.0)), "travel_mm = (360.0, 220.0): three values, for x, y and z"),
+        (
+            lambda: MachineConfig(travel_mm=(360.0, 220.0)),
+            "travel_mm = (360.0, 220.0); expected three values, for x, y and z",
+        ),
         (
             lambda: MachineConfig(travel_mm=(9.0, 9.0, 9.0), pull_off_mm=9.0),
             "pull_off_mm = 9 leaves nothing of travel_mm",
         ),
-        (lambda: StylusConfig(servo_range=(1000.0, 1000.0)), "servo_range = (1000.0, 1000.0): a lower and a higher"),
-        (lambda: StylusConfig(servo_range=(0.0, 1.0, 2.0)), "servo_range = (0.0, 1.0, 2.0): a lower and a higher"),
+        (
+            lambda: StylusConfig(servo_range=(1000.0, 1000.0)),
+            "servo_range = (1000.0, 1000.0); expected a lower and a higher",
+        ),
+        (
+            lambda: StylusConfig(servo_range=(0.0, 1.0, 2.0)),
+            "servo_range = (0.0, 1.0, 2.0); expected a lower and a higher",
+        ),
     ],
 )
 def test_a_machine_that_cannot_be_is_no_configuration(make: Any, reason: str) -> None:

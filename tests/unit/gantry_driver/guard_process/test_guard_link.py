@@ -318,7 +318,7 @@ def test_a_guard_that_hangs_is_killed(make: Callable[..., Rig], monkeypatch: pyt
     monkeypatch.setattr(client_module, "HUNG_DOWN_S", 100.0)
     rig.connect()
     assert set(killed) == {os.getpid()}, "the process at the other end"
-    assert any("the guard hangs and is restarted" in text for text in rig.states())
+    assert any("the guard hangs; the driver restarts it" in text for text in rig.states())
 
 
 def test_closing_waits_for_the_guard_and_may_be_repeated(make: Callable[..., Rig]) -> None:

@@ -128,4 +128,4 @@ def test_a_record_that_cannot_be_written_is_reported_once(
     rig.guard._link.opened = port.stat()
     rig.turn(3)
     notes = [event.text for event in rig.guard._kept if isinstance(event, Note)]
-    assert notes == ["the record of the open port cannot be written: [Errno 28] No space left on device"]
+    assert notes == ["cannot write the record of the open port: [Errno 28] No space left on device"]

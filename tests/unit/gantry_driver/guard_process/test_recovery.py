@@ -168,7 +168,7 @@ def test_the_next_guard_lifts_without_a_node_and_moves_nothing_else(place: Place
     assert place.board.mpos()[:2] == at[:2] and place.lines(since) == ["F1800Z-1G53G1"]
     place.states.clear()
     place.connect()
-    place.state("stopped: the stylus was left down while no driver was connected")
+    place.state("stopped: the stylus stayed down while no driver was connected")
     place.until(lambda: place.send(do="reset") or place.states[-1] == "unhomed")  # the lift may not be complete yet
     assert place.lines(since) == ["F1800Z-1G53G1"], "only a person homes"
 

@@ -8,8 +8,8 @@ from unit.gantry_driver.protocol_board import HOMED, NO_PANEL, Board, Rig
 from gantry_driver.core.configuration.machine_config import DriverConfig, StylusConfig
 from gantry_driver.core.machine.machine import Machine
 
-NOT_LIFTED = "the stylus was not lifted, it may still press"
-LIFTED = "stopped: the stylus was left down while no driver was connected"
+NOT_LIFTED = "the board did not lift the stylus, it may still press"
+LIFTED = "stopped: the stylus stayed down while no driver was connected"
 
 
 def left_pressing() -> Rig:

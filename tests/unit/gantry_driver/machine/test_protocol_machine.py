@@ -101,10 +101,10 @@ def test_reached_is_not_said_before_the_machine_stands() -> None:
         ((0.3591, 0.0, 0.0), {}, "outside 0 to 0.359 m"),
         ((0.0, -0.001, 0.0), {}, "outside 0 to 0.219 m"),
         ((0.0, 0.0, 0.06), {}, "outside 0 to 0.059 m"),
-        ((0.1, 0.0, 0.0), {"velocities_m_s": (0.5, 0.0, 0.0)}, "30000 mm/min is above 12000"),
-        ((0.1, 0.0, 0.0), {"time_s": 0.01}, "above 12000 mm/min"),
+        ((0.1, 0.0, 0.0), {"velocities_m_s": (0.5, 0.0, 0.0)}, "30000 mm/min (limit 12000"),
+        ((0.1, 0.0, 0.0), {"time_s": 0.01}, "limit 12000 mm/min"),
         ((0.1, 0.0, 0.0), {"velocities_m_s": (math.nan, 0.0, 0.0)}, "not finite"),
-        ((0.1, 0.0, 0.0), {"velocities_m_s": (1.7e308, 1.7e308, 0.0)}, "above 12000 mm/min"),
+        ((0.1, 0.0, 0.0), {"velocities_m_s": (1.7e308, 1.7e308, 0.0)}, "limit 12000 mm/min"),
         ((0.1, 0.0, 0.0), {"time_s": -1.0}, "time_from_start -1 s is negative"),
     ],
 )
@@ -269,7 +269,7 @@ def test_a_second_stop_lets_the_retreat_finish(hold_written: bool) -> None:
     assert rig.board.mpos == pytest.approx(list(HOMED)) and rig.states[-1] == "stopped: first"
 
 
-NOT_LIFTED = "; the stylus was not lifted, it may still press"
+NOT_LIFTED = "; the board did not lift the stylus, it may still press"
 
 
 def pressing(config: DriverConfig | None = None) -> Rig:
@@ -301,7 +301,7 @@ def test_a_lift_that_the_board_refused_once_is_told_until_it_is_made() -> None:
     rig.board.refuse = {"G21G90G94": 9}
     rig.machine.stop("stop requested", rig.now)
     rig.until(lambda: rig.machine.phase.name == "STOPPED")
-    assert rig.states[-1].startswith("stopped: stop requested; the stylus was not lifted: error:9")
+    assert rig.states[-1].startswith("stopped: stop requested; the board did not lift the stylus: error:9")
     rig.board.refuse = {}
     rig.machine.stop("stop requested", rig.now)
     rig.until(lambda: rig.machine.phase.name == "STOPPED")
@@ -391,7 +391,7 @@ def test_resting_extended_for_too_long_is_a_stop_that_lifts() -> None:
     rig.until(lambda: rig.state == "stopped", 40.0)
     assert rig.now - since == pytest.approx(35.0, abs=0.1), "longer than the longest hold, 30 s"
     rig.until(lambda: rig.machine.phase.name == "STOPPED")
-    assert rig.states[-1].startswith("stopped: the stylus was left extended for 35.0 s, 35 s are allowed")
+    assert rig.states[-1].startswith("stopped: the stylus has been extended for 35.0 s (limit 35 s)")
     assert rig.board.mpos == pytest.approx([HOMED[0] + 100.0, HOMED[1], HOMED[2]])
     assert rig.machine.reset(rig.now) == "" and rig.state == "idle"
 
@@ -462,7 +462,7 @@ def test_a_board_whose_settings_were_not_heard_is_connected_anew() -> None:
     rig.machine.opened(rig.now)
     board.reset()
     rig.until(lambda: rig.state not in ("connecting", "disconnected") or len(rig.states) > 2)
-    assert rig.states[-1] == "disconnected: the board told no settings"
+    assert rig.states[-1] == "disconnected: the board sent no settings"
     board.settings = dict(SETTINGS)
     assert rig.connect().state == "unhomed"
 
@@ -473,7 +473,8 @@ def test_a_board_whose_settings_were_not_heard_is_connected_anew() -> None:
         (b"", "has the board power, and is /dev/ttyUSB0 its port?"),
         (
             b"\x80\xf8\x00\xfe" * 250,
-            "1000 bytes came that are no GRBL's: is 115200 its line rate (baud), or is another device at /dev/ttyUSB0?",
+            "1000 bytes arrived that are not GRBL's: is 115200 its line rate (baud), "
+            "or is another device at /dev/ttyUSB0?",
         ),
     ],
 )
@@ -543,7 +544,7 @@ def test_motors_that_let_go_between_touches_are_told(delay: str | None) -> None:
     board.settings |= {1: delay} if delay else {}
     rig = Rig(board=board).connect()
     told = [event.text for event in rig.events if isinstance(event, Note)]
-    wanted = ["$1 is 25: motors that let go can be pushed unnoticed, 255 keeps them on"] if delay == "25" else []
+    wanted = ["$1 is 25: motors without power can move unnoticed, 255 keeps them on"] if delay == "25" else []
     assert rig.state == "unhomed" and told == wanted
 
 
@@ -551,7 +552,7 @@ def test_a_line_that_the_board_runs_after_a_reset_blocks_until_it_is_gone() -> N
     board = Board()
     board.startup[1] = "G91 G0 X5"
     rig = Rig(board=board).connect()
-    said = "$N1 runs 'G91 G0 X5' after each reset, it must be empty: unlock by $X, then send $N1="
+    said = "$N1 runs 'G91 G0 X5' after each reset; expected empty: unlock by $X, then send $N1="
     assert rig.states[-1] == f"mismatch: {said}"
     assert "mismatch" in rig.machine.home(rig.now)
     assert rig.machine.write_settings(rig.now) == f"nothing to write: it has these settings; {said}"
@@ -580,8 +581,11 @@ def test_startup_lines_that_cannot_be_read_block() -> None:
     board = Board()
     board.spoilt = {"$N0=": math.inf}
     rig = Rig(board=board).connect()
-    said = "$N0 could not be read, is there noise on the line? What the board runs after each reset is not known"
-    assert rig.states[-1] == f"mismatch: {said}: connect it anew"
+    said = (
+        "the driver could not read $N0: is there noise on the line? "
+        "The lines that the board runs after each reset are unknown"
+    )
+    assert rig.states[-1] == f"mismatch: {said}: connect it again"
     assert "mismatch" in rig.machine.home(rig.now) and board.received.count("$N") == 5
     board.spoilt.clear()
     rig.machine.closed("unplugged", rig.now)
@@ -613,9 +617,7 @@ def test_fluidnc_is_asked_for_its_macros(known: int, monkeypatch: Any) -> None:
 
     board.macros[FLUIDNC_MACROS[1]] = "G91 G0 X5"
     rig.machine.closed("unplugged", rig.now)
-    said = (
-        f"{FLUIDNC_MACROS[1]} runs 'G91 G0 X5' after a reset, it must be empty: take it out of the board's config file"
-    )
+    said = f"{FLUIDNC_MACROS[1]} runs 'G91 G0 X5' after a reset; expected empty: remove it from the board's config file"
     assert rig.connect().states[-1] == f"mismatch: {said}"
 
 
@@ -634,7 +636,7 @@ def test_fluidnc_keeps_some_settings_to_itself_and_the_place_of_homing_tells_of_
 
     board.settings[23] = "0"  # the reported value counts
     rig.machine.closed("unplugged", rig.now)
-    assert rig.connect().states[-1] == "mismatch: $23 is 0, the configuration says 3"
+    assert rig.connect().states[-1] == "mismatch: $23 is 0; expected 3 (the configuration)"
 
 
 def test_a_firmware_without_startup_lines_connects_and_the_refusal_is_told() -> None:
@@ -649,7 +651,7 @@ def test_settings_mismatch_blocks_until_accepted_and_holds_for_these_only() -> N
     board = Board()
     board.settings[110] = "500.000"
     rig = Rig(board=board).connect()
-    assert rig.states[-1] == "mismatch: $110 is 500.000, the configuration says 12000"
+    assert rig.states[-1] == "mismatch: $110 is 500.000; expected 12000 (the configuration)"
     assert "mismatch" in rig.machine.home(rig.now)
     assert rig.machine.accept_settings(rig.now) == "" and rig.state == "unhomed"
     rig.machine.closed("unplugged", rig.now)
@@ -713,7 +715,7 @@ def test_a_reset_of_the_board_itself_is_none_that_answers_a_retry_once_it_has_an
     rig = reset_while_held_up(1.5)
     rig.until(lambda: rig.machine.phase.name == "STOPPED", 20.0)
     rig.board.reset()
-    rig.until(lambda: any("reset by itself" in state for state in rig.states), 1.0)
+    rig.until(lambda: any("reset itself" in state for state in rig.states), 1.0)
     assert not rig.machine.homed
 
 
@@ -729,7 +731,7 @@ def test_a_loss_of_power_is_not_hidden_by_a_reset_that_was_expected(locks: bool,
     if not locks:
         rig.board.state = "Idle"
     rig.until(lambda: rig.state == "alarm", 5.0)
-    assert not rig.machine.homed and "its position is lost" in rig.states[-1]
+    assert not rig.machine.homed and "lost its position" in rig.states[-1]
     x, y = rig.board.mpos[:2]
     rig.run_for(2.0)
     assert rig.board.mpos == [x, y, 0.0], "nothing moves by a position that is none"
@@ -849,7 +851,7 @@ def test_trap_7_and_8_an_unexpected_banner_is_a_reset() -> None:
     rig.run_for(0.2)
     rig.board.power_cycle()
     rig.until(lambda: rig.state == "unhomed")
-    assert "reset by itself" in rig.results[-1].reason and rig.outcomes() == ["accepted", "aborted"]
+    assert "reset itself" in rig.results[-1].reason and rig.outcomes() == ["accepted", "aborted"]
     assert not rig.machine.homed and rig.machine.reading_m is None
 
 
@@ -878,7 +880,7 @@ def test_a_restart_whose_banner_noise_has_spoilt_is_noticed_by_the_place(phase: 
     rig.run_for(0.12)
     restart_unheard(rig.board)
     rig.until(lambda: rig.state == "connecting", 0.5)
-    reason = "the board was reset by itself, its position is lost"
+    reason = "the board has reset itself and lost its position"
     assert rig.states[-1] == f"connecting: {reason}"
     assert all(x < 0.21 for x, _, _ in rig.positions[told:]), "the false place was never told"
     rig.until(lambda: rig.state not in ("connecting",))
@@ -897,10 +899,10 @@ def test_steps_that_are_changed_behind_its_back_are_found_by_the_place() -> None
     rig.board.settings[100] = "100.000"
     rig.board.mpos[0] *= 0.8
     rig.until(lambda: rig.state == "connecting", 0.5)
-    lost = "the board stands elsewhere without a command from here, its position is lost"
+    lost = "the board's position has changed without a command from this driver: the true position is unknown"
     assert rig.states[-1] == f"connecting: {lost}" and all(x < 0.11 for x, _, _ in rig.positions[told:])
     rig.until(lambda: rig.state == "mismatch")
-    assert rig.states[-1] == "mismatch: $100 is 100.000, the configuration says 80" and not rig.machine.homed
+    assert rig.states[-1] == "mismatch: $100 is 100.000; expected 80 (the configuration)" and not rig.machine.homed
 
 
 def test_a_step_of_a_pendant_that_no_report_has_shown_is_found_by_the_place_also_after_a_stop() -> None:
@@ -1084,7 +1086,7 @@ def homing_wanted(kind: str, setting: str, monkeypatch: Any) -> Rig:
     board.settings[22] = setting
     board.refuse = {"$X": 46} if int(setting) & 4 else {}
     rig = Rig(DriverConfig(enabled_at_start=True, stylus=StylusConfig(kind=kind)), board=board).connect()
-    assert rig.states[-1] == f"mismatch: $22 is {setting}, the configuration says 1"
+    assert rig.states[-1] == f"mismatch: $22 is {setting}; expected 1 (the configuration)"
     assert rig.machine.accept_settings(rig.now) == ""
     rig.step()
     return rig
@@ -1095,7 +1097,7 @@ def test_a_board_that_lets_no_stylus_be_lifted_before_homing_is_not_homed(kind: 
     rig = homing_wanted(kind, "5", monkeypatch)
     said = rig.machine.home(rig.now)
     assert said == (
-        "the board must be homed before it takes any line ($22 is 5), but the stylus has to be lifted before that: "
+        "the board accepts no line before homing ($22 is 5), but the driver must lift the stylus before that: "
         "set $22 to 1, as gantry/write_settings does"
     )
     assert rig.state == "unhomed" and "$X" not in rig.board.received and "$H" not in rig.board.received
@@ -1121,7 +1123,7 @@ def test_homing_with_the_door_open_is_refused_by_a_reason_that_names_it() -> Non
     rig.step()
     assert rig.machine.home(rig.now) == ""
     rig.until(lambda: rig.machine.phase.name == "STOPPED")
-    assert rig.states[-1].startswith("stopped: homing refused: error:13 (safety door open)")
+    assert rig.states[-1].startswith("stopped: the board rejected homing: error:13 (safety door open)")
 
 
 @pytest.mark.parametrize("lost", ["$X", "$H"])
@@ -1203,7 +1205,7 @@ def test_a_stylus_with_two_positions_is_not_lowered_by_a_goal_that_lies_between(
     rig.go((0.1, 0.0, 0.0), (0.1, 0.0, hover_m))
     rig.step()
     assert rig.outcomes() == ["rejected"] and rig.board.received == []
-    assert f"stylus_joint = {hover_m:g} m is between up, 0, and down, 0.02 m" in rig.results[-1].reason
+    assert f"stylus_joint = {hover_m:g} m; a" in rig.results[-1].reason
     rig.go((0.1, 0.0, 0.0198))  # as an axis may report its end
     rig.until(lambda: "reached" in rig.outcomes())
     assert rig.machine.reading_m == pytest.approx((0.1, 0.0, 0.02))
@@ -1226,7 +1228,7 @@ def test_a_servo_needs_the_spindle_settings_that_its_s_values_mean(number: int, 
     board = Board()
     board.settings[number] = value  # with $32=1, GRBL gives M3 no power until a G1 has been sent: no stop would lift
     config = DriverConfig(enabled_at_start=True, stylus=StylusConfig(kind="servo_m3"))
-    assert f"mismatch: ${number} is {value}, the configuration says " in Rig(config, board).connect().states[-1]
+    assert f"mismatch: ${number} is {value}; expected " in Rig(config, board).connect().states[-1]
     assert Rig(board=board).connect().state == "unhomed", "a Z axis needs none of them"
 
 
@@ -1241,7 +1243,7 @@ def test_no_more_points_may_be_allowed_than_are_written_within_a_heartbeat() -> 
         DriverConfig(max_points=10_001)
     rig = Rig(DriverConfig(enabled_at_start=True, max_points=10_000)).homed()
     points = [((0.1 + 0.001 * (k % 50)), 0.1, 0.0) for k in range(10_001)]
-    assert "the trajectory has 10001 points, 1 to 10000 are needed" in rig.go(*points).reason
+    assert "the trajectory has 10001 points (limits 1 to 10000)" in rig.go(*points).reason
     assert rig.go(*points[1:]).outcome.value == "accepted"
     rig.run_for(0.5)
     assert rig.state == "moving"
@@ -1399,7 +1401,7 @@ def test_a_program_is_not_started_from_elsewhere_than_where_it_was_checked() -> 
     rig.go((0.1, 0.1, 0.0))
     rig.until(lambda: "reached" in rig.outcomes())
     refused = rig.machine.run_checked("p", checker, checked, rig.now)
-    assert refused.reason == "place or work offset have changed since the program was checked"
+    assert refused.reason == "position or work offset have changed since the check of the program"
     assert rig.machine.session.pending == 0 and rig.state == "idle"
     again = rig.machine.program_checker()
     lines = list(again.check_all(["G91", "G1 X50 F6000"]))
@@ -1482,7 +1484,7 @@ def test_no_pendant_makes_a_touch_faster_or_a_servo_go_elsewhere(
     rig.run_for(0.5)
     assert rig.board.overrides == kept and rig.state == ("moving" if moving else "idle")
     notes = [event.text for event in rig.events if isinstance(event, Note)]
-    said = f"the board's overrides were {told[0]} % (feed) and {told[2]} % (spindle): set back to 100 %"
+    said = f"the board's overrides were {told[0]} % (feed) and {told[2]} % (spindle): the driver set them back to 100 %"
     assert [note for note in notes if "override" in note] == ([] if kept == told else [said])
 
 
@@ -1621,17 +1623,18 @@ def test_a_setting_that_the_board_does_not_keep_is_named() -> None:
     assert rig.machine.write_settings(rig.now) == ""
     rig.until(lambda: rig.state == "mismatch")
     assert rig.states[-1] == (
-        "mismatch: $110 is 500.000, the configuration says 12000; $111 is 500.000, the configuration says 12000"
+        "mismatch: $110 is 500.000; expected 12000 (the configuration); "
+        "$111 is 500.000; expected 12000 (the configuration)"
     )
     notes = [event.text for event in rig.events if isinstance(event, Note)]
-    assert "the board did not keep a setting: $110 is 500.000, what was written says 12000" in notes
+    assert "the board did not keep a setting: $110 is 500.000; expected 12000 (value written)" in notes
     assert any("error:3" in text and "$111=12000" in text for text in notes)
 
 
 def test_settings_are_not_written_while_something_moves_and_unhome_the_machine() -> None:
     rig = Rig().homed()
     rig.go((0.1, 0.1, 0.0))
-    assert "at rest with the stylus up, the driver is moving" in rig.machine.write_settings(rig.now, {12: 0.01})
+    assert "at rest with the stylus up; it is moving" in rig.machine.write_settings(rig.now, {12: 0.01})
     rig.until(lambda: "reached" in rig.outcomes())
     rig.go((0.1, 0.1, 0.01))
     rig.until(lambda: rig.outcomes().count("reached") == 2)
@@ -1823,7 +1826,7 @@ def test_a_pause_that_presses_for_longer_than_a_rest_may_is_a_stop() -> None:
     rig.run_for(2.5)
     assert rig.states[-1] == "moving: paused"
     rig.until(lambda: rig.machine.phase.name == "STOPPED")
-    assert "left extended for 3.0 s, 3 s are allowed" in rig.states[-1]
+    assert "extended for 3.0 s (limit 3 s)" in rig.states[-1]
     assert rig.board.mpos[2] == pytest.approx(HOMED[2]) and rig.machine.homed
 
 
@@ -1877,7 +1880,7 @@ def test_a_marlin_that_comes_up_in_the_place_of_the_board_ends_what_was_under_wa
     rig.trace.clear()
     rig.machine.receive(b"start\necho:Marlin 2.1.2\n", rig.now)
     rig.step()
-    assert rig.states[-1].startswith("connecting: the board was reset by itself") and not rig.machine.homed
+    assert rig.states[-1].startswith("connecting: the board has reset itself") and not rig.machine.homed
     assert rig.outcomes() == (["accepted", "aborted"] if phase == "MOVING" else [])
     assert rig.trace[0][1].startswith(b"!"), "perhaps it was noise, and the board moves"
     rig.until(lambda: "M115" in rig.sent())
@@ -1909,4 +1912,4 @@ def test_a_banner_that_noise_has_made_an_old_one_is_a_reset_like_any_other(monke
     rig.step()
     monkeypatch.undo()
     rig.until(lambda: rig.state == "unhomed")
-    assert rig.outcomes() == ["accepted", "aborted"] and "reset by itself" in rig.results[-1].reason
+    assert rig.outcomes() == ["accepted", "aborted"] and "reset itself" in rig.results[-1].reason

@@ -24,7 +24,7 @@ def test_second_source_ends_a_press_by_a_stop_that_names_both(phase: GoalPhase) 
     bench = Bench().start()
     bench.on_phase[phase] = lambda b: b.tell(msg.Rivals(topic="panel/pose", text=POSE))
     result = bench.do("press:RUN_STOP")
-    assert result.outcome is Outcome.ABORTED and f"{POSE}; the machine was told to stop" in result.reason
+    assert result.outcome is Outcome.ABORTED and f"{POSE}; the controller has ordered a stop" in result.reason
     assert bench.stops == 1 and bench.controller.state == f"stopped: {POSE}"
 
 

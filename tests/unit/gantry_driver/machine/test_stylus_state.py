@@ -13,7 +13,7 @@ from gantry_driver.core.configuration.machine_config import STYLUS_KINDS, Driver
 from gantry_driver.core.machine.machine import Machine
 from gantry_driver.core.states.stylus_state import STYLUS_DOWN_M, Stylus, tells_of_stylus
 
-NOT_LIFTED = "the stylus was not lifted, it may still press"
+NOT_LIFTED = "the board did not lift the stylus, it may still press"
 RELEASED = "the solenoid is without power, the stylus is up"
 SINKS = "the servo may be without pulses and sink, the stylus may press"
 
@@ -135,7 +135,7 @@ def test_a_servo_whose_board_resets_itself_in_a_homing_cycle_is_told_to_be_limp(
     rig.board.homing_until = -1.0
     rig.board.power_cycle()
     rig.until(lambda: rig.state == "unhomed")
-    assert rig.states[-1] == f"unhomed: the board was reset by itself, its position is lost; {SINKS}"
+    assert rig.states[-1] == f"unhomed: the board has reset itself and lost its position; {SINKS}"
 
 
 def test_a_servo_whose_link_is_lost_in_a_homing_cycle_is_told_to_be_limp() -> None:
@@ -212,7 +212,7 @@ def test_settings_that_differ_do_not_hide_a_stylus_that_a_lost_link_has_left(kin
     rig.machine.closed("the device has gone", rig.now)
     rig.board.settings[110] = "500.000"
     rig.connect()
-    mismatch = "mismatch: $110 is 500.000, the configuration says 12000"
+    mismatch = "mismatch: $110 is 500.000; expected 12000 (the configuration)"
     assert rig.states[-1] == f"{mismatch}; {NOT_LIFTED}"
     assert rig.machine.accept_settings(rig.now) == ""
     rig.step()
@@ -224,7 +224,7 @@ def test_settings_that_differ_do_not_hide_a_servo_that_a_lost_link_has_left_limp
     rig.machine.closed("the device has gone", rig.now)
     rig.board.settings[110] = "500.000"
     rig.connect()
-    assert rig.states[-1] == f"mismatch: $110 is 500.000, the configuration says 12000; {SINKS}"
+    assert rig.states[-1] == f"mismatch: $110 is 500.000; expected 12000 (the configuration); {SINKS}"
 
 
 def test_what_the_driver_says_of_a_stylus_is_known_as_that_wherever_it_stands_in_the_state() -> None:

@@ -232,7 +232,7 @@ def test_control_refuses_what_it_does_not_know(start: Callable[..., Running]) ->
     assert control.send(b"{oops")["error"].startswith("not JSON")
     assert control.send(b"[1]")["error"] == "a JSON object is needed"
     assert control.ask(do="dance")["error"] == "do = 'dance' is none of state, counters, log, fault"
-    assert control.ask(do="log", since="x")["error"] == "since = 'x': a whole number is needed"
+    assert control.ask(do="log", since="x")["error"] == "since = 'x'; expected a whole number"
     assert control.ask(do="fault", kind="hang", seconds=-2)["error"] == "seconds = -2 is not within 0 to 3600 s"
     assert control.ask(do="fault", kind="unheard of")["ok"] is False
     assert control.ask(do="state")["state"] == "Alarm"

@@ -129,7 +129,7 @@ def test_refusals_say_why(command: str, words: list[str]) -> None:
 
 def test_leaning_panel_is_refused() -> None:
     leaning = CAMERA_FROM_BASE @ Transform(turned(0, 12.0), np.array([0.02, 0.025, -0.035]))
-    with pytest.raises(TargetRefused, match=r"12\.0 degrees, at most 10"):
+    with pytest.raises(TargetRefused, match=r"12\.0 degrees \(limit 10"):
         resolve(parse_gesture("press:RUN_STOP"), replace(SCENE, camera_from_panel=leaning), CONFIG, wander_m=0.002)
 
 
@@ -178,12 +178,12 @@ def test_a_dimple_is_entered_where_the_marker_says(way: float) -> None:
 
 def test_a_dimple_needs_a_known_marker_and_room_for_the_ball() -> None:
     gesture = parse_gesture("turn:CH1_SCALE:40")
-    with pytest.raises(TargetRefused, match="found by its marker: turn it by its name"):
+    with pytest.raises(TargetRefused, match="finds the dimple by its marker: turn it by its name"):
         resolve(gesture, with_dimple(4.0, 1.0), CONFIG, wander_m=0.002)
     with pytest.raises(TargetRefused, match=r"is 3 mm wide, the stylus needs more than 3\.5 mm to reach its bottom"):
         resolve(gesture, with_dimple(3.0, 1.0), CONFIG, wander_m=0.002, knob_deg=0.0)
     # A ball of 2 mm radius is sqrt(3) mm to either side at a depth of 1 mm.
-    with pytest.raises(TargetRefused, match=r"has 14\.6 degrees of play in the dimple of CH1_SCALE, at most 10"):
+    with pytest.raises(TargetRefused, match=r"has 14\.6 degrees of play in the dimple of CH1_SCALE \(limit 10"):
         resolve(gesture, with_dimple(6.0, 1.0), CONFIG, wander_m=0.002, knob_deg=0.0)
 
 

@@ -92,7 +92,7 @@ def test_an_offset_that_is_no_g92_may_stay_and_one_that_is_none_may_be_cancelled
         (["G2 X-90 Y-100 I4 F100"], 1, 4, "radii differ by 2.000 mm (error:33)"),
         (["G2 Z-5 I1 F100"], 1, 4, "axis word of its plane (error:26)"),
         (["G1 X-10 F-5"], 1, 9, "negative"),
-        ([LONG], 1, 80, "bytes with the newline, 80 can be sent"),
+        ([LONG], 1, 80, "bytes with its newline (limits 2 to 80"),
     ],
 )
 def test_refusals_name_line_column_and_reason(lines: list[str], line: int, column: int, reason: str) -> None:

@@ -275,9 +275,7 @@ def test_modes_are_compared_by_words_and_numbers() -> None:
 def test_the_clearance_must_stop_a_damaged_approach() -> None:
     needed = stopping_way_mm(3000.0, 400.0, 60.0, 50.0)
     assert needed == pytest.approx(0.15 + 50.0 * (0.02 + 0.02 + 0.05) + 50.0**2 / 800.0)
-    with pytest.raises(
-        ConfigError, match=r"clearance_m = 0\.005: 0\.0088 m are needed .* raise clearance_m .* hover_m"
-    ):
+    with pytest.raises(ConfigError, match=r"clearance_m = 0\.005; expected 0\.0088 m .* raise clearance_m .* hover_m"):
         DriverConfig(clearance_m=0.005)
     with pytest.raises(ConfigError, match="touch_status_rate_hz"):
         DriverConfig(touch_status_rate_hz=15.0)

@@ -177,7 +177,7 @@ def test_pictures_without_pixels_have_no_descriptors_and_deep_ones_are_refused(d
         found = describe(np.zeros(shape, np.uint8), np.empty((0, 2)), config)
         assert found.xy.shape == (0, 2) and len(found.index) == len(found.vectors) == 0
     for picture in (np.zeros((60, 60), np.uint16), np.zeros((60, 60), np.float32), np.zeros((60, 60, 3), np.uint8)):
-        with pytest.raises(ValueError, match=rf"uint8 is needed, not \(60, 60(, 3)?\) {picture.dtype}"):
+        with pytest.raises(ValueError, match=rf"expected uint8, got \(60, 60(, 3)?\) {picture.dtype}"):
             describe(picture, [(30.0, 30.0)], config)
 
 

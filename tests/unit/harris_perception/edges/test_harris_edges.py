@@ -459,7 +459,7 @@ def test_pictures_without_edges(shape: tuple[int, int], value: float) -> None:
 
 @pytest.mark.parametrize("dtype", [np.float64, np.int32, np.bool_, np.complex64])
 def test_types_that_are_not_meant_are_refused(dtype: type) -> None:
-    with pytest.raises(ValueError, match=f"uint8, uint16 or float32 is needed, not {np.dtype(dtype)}"):
+    with pytest.raises(ValueError, match=f"expected uint8, uint16 or float32, got {np.dtype(dtype)}"):
         EdgeDetector().detect(np.zeros((9, 9), dtype))
 
 
@@ -744,7 +744,7 @@ def test_bad_input_is_refused() -> None:
         EdgeDetector().detect(np.zeros((5, 5, 2), np.uint8))
     with pytest.raises(ValueError, match=r"\(5, 5, 3\)"):
         EdgeDetector().detect(np.zeros((5, 5, 3), np.float32))
-    with pytest.raises(ValueError, match="outside the picture of 30 x 20"):
+    with pytest.raises(ValueError, match="outside the image of 30 x 20"):
         EdgeDetector().detect(np.zeros((20, 30), np.uint8), [(30.0, 4.0)])
 
 

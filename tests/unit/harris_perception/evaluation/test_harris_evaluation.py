@@ -403,7 +403,7 @@ def test_best_on_average_weighs_every_change_alike() -> None:
         (["detect", "PICTURE", "--set", "k"], "KEY=VALUE"),
         (["detect", "PICTURE", "--table", "corners.txt"], ".csv or .json"),
         (["detect", "PICTURE", "-o", "corners.nothing"], "cannot be written"),
-        (["detect", "PICTURE", "-o", "corners.pgm"], "corners.pgm cannot be written"),
+        (["detect", "PICTURE", "-o", "corners.pgm"], "cannot write corners.pgm"),
         (["evaluate", "EMPTY", "-o", "OUT"], "neither sequences"),
         (["evaluate", "PICTURE", "-o", "OUT", "--count", "0"], "--count 0: 1 to 5000"),
         (["evaluate", "PICTURE", "-o", "OUT", "--count", "20000"], "--count 20000: 1 to 5000"),

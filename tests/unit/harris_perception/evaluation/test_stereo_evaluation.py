@@ -208,7 +208,7 @@ def test_what_cannot_be_evaluated_is_said(tmp_path: Path, capsys: Any) -> None:
     given = [str(tmp_path), "-o", str(tmp_path / "out"), "--truth-scale"]
     for scale in ("0", "-1", "nan", "inf"):
         assert main([*given, scale]) == 2
-        assert f"truth scale {scale}: more than 0 is needed" in capsys.readouterr().err
+        assert f"truth scale {scale}; expected more than 0" in capsys.readouterr().err
     for scale, reached in (("7.5", "225"), ("256", "7680")):
         assert main([*given, scale]) == 2
         assert f"reaches {reached} px, with pictures 240 px wide below 224 px are possible" in capsys.readouterr().err

@@ -90,7 +90,9 @@ def test_other_cameras_and_machines_are_refused(
 
 @pytest.mark.parametrize("now", ["unknown", "$100=80=1", "$100"])
 def test_settings_of_another_form_are_refused_as_other_settings(now: str) -> None:
-    with pytest.raises(CalibrationFileError, match=r"the machine's settings have changed since it was made: \$100 was"):
+    with pytest.raises(
+        CalibrationFileError, match=r"the machine's settings have changed since this calibration: \$100 was"
+    ):
         check_fits(stored(settings="$100=80.000"), camera(), None, "bench", now)
     with pytest.raises(CalibrationFileError, match="the machine's settings have changed"):
         check_fits(stored(settings=now), camera(), None, "bench", "$100=80.000")
@@ -123,12 +125,12 @@ def test_a_change_is_seen_in_a_picture_whose_corners_the_distortion_does_not_rea
 @pytest.mark.parametrize(
     ("spoil", "message"),
     [
-        ({"format": 9}, "format 2 is needed"),
+        ({"format": 9}, "expected format 2"),
         (
             {"base_from_reading": [[1.0, 0.0]]},
             r"base_from_reading = \[\[1\.0, 0\.0\]\]: finite numbers of shape \(2, 2\)",
         ),
-        ({"base_from_reading": [[1.0, 0.0], [0.0, 0.0]]}, "cannot be inverted"),
+        ({"base_from_reading": [[1.0, 0.0], [0.0, 0.0]]}, "has no inverse"),
         ({"camera_from_base": {"rotation": np.eye(3).tolist()}}, "translation_m"),
         ({"camera_from_base": {"rotation": (2 * np.eye(3)).tolist(), "translation_m": [0, 0, 1]}}, "not a rotation"),
         ({"stylus_direction": [0, math.nan, -1]}, "finite numbers"),
@@ -138,21 +140,21 @@ def test_a_change_is_seen_in_a_picture_whose_corners_the_distortion_does_not_rea
         ({"left_camera": {}}, r"left_camera: 'distortion_model' is missing"),
         (
             {"left_camera": {**camera().to_mapping(), "image_width": math.inf}},
-            r"left_camera: image_width = inf: a whole number from 1 to 32767 is needed",
+            r"left_camera: image_width = inf; expected a whole number from 1 to 32767",
         ),
         (
             {"right_camera": {**camera().to_mapping(), "image_height": 720.5}},
-            r"right_camera: image_height = 720\.5: a whole number from 1 to 32767 is needed",
+            r"right_camera: image_height = 720\.5; expected a whole number from 1 to 32767",
         ),
         (
             {"right_camera": {**camera().to_mapping(), "camera_matrix": {"data": "abc"}}},
-            r"right_camera: camera_matrix = 'abc': 9 numbers are needed",
+            r"right_camera: camera_matrix = 'abc'; expected 9 numbers",
         ),
-        ({"left_camera": None}, r"left_camera = None: a mapping is needed"),
-        ({"camera_from_base": [1, 2]}, r"camera_from_base = \[1, 2\]: a mapping is needed"),
+        ({"left_camera": None}, r"left_camera = None; expected a mapping"),
+        ({"camera_from_base": [1, 2]}, r"camera_from_base = \[1, 2\]; expected a mapping"),
         (
             {"camera_from_base": {"rotation": np.eye(3).tolist(), "translation_m": [-170.0, 90.0, 660.0]}},
-            r"camera_from_base: translation_m = \[-170\.0, 90\.0, 660\.0\]: at most 20 m are possible",
+            r"camera_from_base: translation_m = \[-170\.0, 90\.0, 660\.0\] (limit 20 m)",
         ),
         (
             {"base_from_panel": {"rotation": "x", "translation_m": [0, 0, 1]}},
@@ -162,9 +164,9 @@ def test_a_change_is_seen_in_a_picture_whose_corners_the_distortion_does_not_rea
         ({"backlash_sigma_m": [math.inf, 0.0]}, r"backlash_sigma_m = \[inf, 0\.0\]: finite numbers"),
         ({"held_out_max_m": -0.001}, r"held_out_max_m = -0\.001 is below 0"),
         ({"held_out_max_m": math.inf}, r"held_out_max_m = inf: finite numbers"),
-        ({"samples": math.inf}, r"samples = inf: a whole number from 0 is needed"),
-        ({"samples": 1.5}, r"samples = 1\.5: a whole number from 0 is needed"),
-        ({"samples": -3}, r"samples = -3: a whole number from 0 is needed"),
+        ({"samples": math.inf}, r"samples = inf; expected a whole number from 0"),
+        ({"samples": 1.5}, r"samples = 1\.5; expected a whole number from 0"),
+        ({"samples": -3}, r"samples = -3; expected a whole number from 0"),
     ],
 )
 def test_broken_files_are_refused_by_name(tmp_path: Path, spoil: dict[str, Any], message: str) -> None:

@@ -62,7 +62,7 @@ def test_a_tip_elsewhere_means_a_moved_camera_or_machine() -> None:
         watch.tip(sample(stored(), (0.002, 0.0, 0.0)))
         watch.panel(moved(0.002), CONTROLS)
     assert watch.text == (
-        "the tip is seen 2.0 mm from its calibrated place and RUN_STOP is seen 2.0 mm from its place at the "
+        "the tip is 2.0 mm off its calibrated position and RUN_STOP is 2.0 mm off its position at the "
         "calibration: a camera or the machine has moved: calibrate again"
     )
     watch.tip(sample(stored()))
@@ -77,7 +77,7 @@ def test_a_control_elsewhere_with_the_tip_in_place_means_a_moved_panel() -> None
     for _ in range(2):
         watch.tip(sample(stored()))
         watch.panel(PANEL @ turn, CONTROLS)
-    assert watch.text.startswith("RUN_STOP is seen 4.9 mm from its place at the calibration: the panel has moved")
+    assert watch.text.startswith("RUN_STOP is 4.9 mm off its position at the calibration: the panel has moved")
 
 
 def test_one_wrong_sighting_is_no_drift() -> None:
@@ -92,4 +92,4 @@ def test_without_a_known_panel_the_first_one_counts() -> None:
     watch.panel(moved(0.05), CONTROLS)
     assert watch.text == ""
     watch.panel(moved(0.052), {})
-    assert watch.text.startswith("the panel's corner is seen 2.0 mm from its place")
+    assert watch.text.startswith("the panel's corner is 2.0 mm off its position")

@@ -158,7 +158,7 @@ def line(count: int, step: tuple[float, float, float]) -> np.ndarray:
 @pytest.mark.parametrize(
     ("readings", "message"),
     [
-        (grid()[:3], r"3 samples, 6 are needed: move to another place"),
+        (grid()[:3], r"3 samples \(at least 6\): move to another position"),
         (
             line(8, (0.0, 0.0, 0.0)),
             r"the readings do not differ \(0\.00 mm\): the gantry did not move; move at least 60 mm",
@@ -196,7 +196,7 @@ def test_the_suggested_place_makes_the_samples_sufficient() -> None:
 def test_tip_that_stays_while_the_gantry_moves_is_refused() -> None:
     still = [Sample(reading=q, tip=np.array([0.0, 0.0, 0.6]), covariance=NOISE) for q in grid()]
     with pytest.raises(
-        DegenerateError, match=r"moved 30\d mm but the tip that was seen only 0\.0 mm: what is tracked is not"
+        DegenerateError, match=r"moved 30\d mm but the cameras saw the tip move only 0\.0 mm: they track another object"
     ):
         calibrate(still, CAMERAS)
 
@@ -215,7 +215,7 @@ def test_too_many_misfits_are_refused_with_their_numbers() -> None:
     [
         (np.array([[1.2, 0.0], [0.0, 1.0]]), r"the x axis moves 1\.200 m per metre of reading"),
         (np.array([[1.0, 0.0], [0.0, 0.5]]), r"the y axis moves 0\.500 m per metre"),
-        (np.array([[1.0, 0.1], [0.0, 1.0]]), r"miss a right angle by 5\.7 degrees, 2\.9 are plausible"),
+        (np.array([[1.0, 0.1], [0.0, 1.0]]), r"miss a right angle by 5\.7 degrees \(limit 2\.9\)"),
     ],
 )
 def test_axes_that_no_machine_has_are_refused(axes: np.ndarray, message: str) -> None:
@@ -233,7 +233,7 @@ def test_axes_that_no_machine_has_are_refused(axes: np.ndarray, message: str) ->
             (0.0, 0.0, 0.006),
             r"the stylus moves \d\.\d{3} m towards the panel per metre of extension, 0\.95 to 1\.05 are",
         ),
-        ((0.006, 0.0, 0.0), r"the stylus leans by 2\d\.\d degrees, 2\.9 are plausible: add samples"),
+        ((0.006, 0.0, 0.0), r"the stylus leans by 2\d\.\d degrees \(limit 2\.9\): add samples"),
     ],
 )
 def test_a_wrong_tip_that_alone_tells_of_the_stylus_is_refused(off_m: tuple[float, ...], message: str) -> None:
@@ -266,7 +266,7 @@ def test_they_are_also_where_the_stylus_was_at_one_extension(machine: np.ndarray
 def test_noise_beyond_the_limit_is_refused() -> None:
     rng = np.random.default_rng(0)
     data = [Sample(reading=s.reading, tip=s.tip + rng.normal(0, 0.001, 3), covariance=NOISE) for s in samples(grid())]
-    with pytest.raises(DegenerateError, match=r"miss one another by 1\.\d\d mm rms, 0\.70 mm are accepted"):
+    with pytest.raises(DegenerateError, match=r"miss one another by 1\.\d\d mm rms \(limit 0\.70 mm\)"):
         calibrate(data, CAMERAS)
 
 

@@ -76,16 +76,16 @@ def test_the_result_is_not_written_over_the_poses(tmp_path: Path, capsys: pytest
     poses = tmp_path / "poses.csv"
     poses.write_text("\n".join(rows()))
     assert main([str(poses), "-o", str(tmp_path / "." / "poses.csv")]) == 1
-    assert "the same file is read, another name is needed" in capsys.readouterr().err
+    assert "the same file is read; expected another name" in capsys.readouterr().err
     assert poses.read_text() == "\n".join(rows())
 
 
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("\n".join(rows()[:2]), "2 poses, 3 are needed"),
-        ("\n".join(rows(turn=0.01)), "10 are needed: without turns"),
-        (rows()[0] + "\n1,2,3", "line 2: 3 values, 14 are needed"),
+        ("\n".join(rows()[:2]), "2 poses; expected 3"),
+        ("\n".join(rows(turn=0.01)), "expected 10: without turns"),
+        (rows()[0] + "\n1,2,3", "line 2: 3 values; expected 14"),
         ("\n".join(row.replace(",", ";") for row in rows()), "line 2: could not convert string to float: '.*;"),
         (rows()[0] + "\n" + rows()[1].replace("0.", "x.", 1), "line 2: could not convert"),
         (rows()[0].replace("0.", "O.", 1) + "\n" + "\n".join(rows()[1:]), "line 1: could not convert"),
@@ -93,7 +93,7 @@ def test_the_result_is_not_written_over_the_poses(tmp_path: Path, capsys: pytest
             rows()[0]
             + "\n"
             + ",".join(rows()[1].split(",")[3:7] + rows()[1].split(",")[:3] + rows()[1].split(",")[7:]),
-            r"line 2: quaternion .* has length 1\.015, 1 to within 0\.01 is needed: the order is x, y, z in metres",
+            r"line 2: quaternion .* has length 1\.015; expected 1 to within 0\.01: the order is x, y, z in metres",
         ),
         ("\n".join(rows(fixed=True)), r"miss one another by .* 3\.0 degrees and 20\.0 mm are accepted"),
         (",".join(["0"] * 14), "line 1: quaternion .* has no direction"),

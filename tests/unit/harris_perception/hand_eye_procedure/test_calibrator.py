@@ -220,8 +220,8 @@ def test_a_camera_that_changes_ends_the_run_and_withdraws_the_calibration() -> N
     assert failed == LogNote("error", f"calibration failed: {why} meanwhile")
     assert state == SetState(f"failed: {why} meanwhile")
     assert isinstance(axes, SetAxes) and axes.base_from_reading is None
-    assert refused == LogNote("error", f"the calibration in use is refused: {why} by 10.00 px since it was made")
-    assert last == SetState(f"failed: the calibration in use is refused: {why} by 10.00 px since it was made")
+    assert refused == LogNote("error", f"the calibration in use does not fit: {why} by 10.00 px since this calibration")
+    assert last == SetState(f"failed: the calibration in use does not fit: {why} by 10.00 px since this calibration")
     assert (calibrator.stored, calibrator.drift, calibrator.running, calibrator.level) == (None, None, False, "error")
     assert calibrator.close() == [], "there is no run any more that could be cut short"
 
@@ -251,13 +251,13 @@ def test_a_withdrawn_calibration_is_used_again_with_the_very_same_camera(side: s
         ),
     ):
         assert not used_again(calibrator.take_camera(side, camera_seen, NOW_NS), calibrator)
-        assert calibrator.state.startswith("failed: the stored calibration is refused: ") and why in calibrator.state
+        assert calibrator.state.startswith("failed: the stored calibration does not fit: ") and why in calibrator.state
         assert not used_again(calibrator.take_settings("", NOW_NS), calibrator)
     assert used_again(calibrator.take_camera(side, camera(baseline_m=baseline_m), NOW_NS + 1), calibrator)
     changed = calibrator.take_camera("left", camera(1710.0), NOW_NS + 2)
     assert kinds(changed) == ["SetAxes", "LogNote", "SetState"]
     assert (
-        "the calibration in use is refused: the left camera's calibration has changed by 10.00 px" in calibrator.state
+        "the calibration in use does not fit: the left camera's calibration has changed by 10.00 px" in calibrator.state
     )
     assert used_again(calibrator.take_camera("left", camera(), NOW_NS + 3), calibrator)
 
@@ -268,7 +268,7 @@ def test_the_file_is_used_once_its_cameras_come_after_others() -> None:
     calibrator.take_camera("left", camera(1710.0), NOW_NS)
     assert kinds(calibrator.take_camera("right", camera(baseline_m=0.12), NOW_NS)) == ["LogNote", "SetState"]
     refused = (
-        "failed: the stored calibration is refused: the left camera's calibration has changed by 10.00 px since it"
+        "failed: the stored calibration does not fit: the left camera's calibration has changed by 10.00 px since this"
     )
     assert calibrator.state.startswith(refused)
     assert calibrator.take_settings("$100=80.000", NOW_NS) == [], "that is said once"
@@ -279,12 +279,12 @@ def test_settings_that_come_back_bring_the_calibration_back_but_not_into_a_run()
     stored = dataclasses.replace(STORED, settings="$100=80.000")
     calibrator = calibrated(stored)
     assert kinds(calibrator.take_settings("$100=40.000", NOW_NS)) == ["SetAxes", "LogNote", "SetState"]
-    assert "the calibration in use is refused: the machine's settings have changed" in calibrator.state
+    assert "the calibration in use does not fit: the machine's settings have changed" in calibrator.state
     calibrator.take_driver("idle", NOW_NS)
     calibrator.run(NOW_NS)
     assert calibrator.take_settings("$100=80.000", NOW_NS) == [], "the run's goals are made for other axes"
     calibrator.take_driver("alarm: hard limit", NOW_NS)
-    assert calibrator.stored is None and calibrator.state == "failed: the driver says 'alarm: hard limit'"
+    assert calibrator.stored is None and calibrator.state == "failed: the driver reports 'alarm: hard limit'"
     assert kinds(calibrator.take_settings("$100=80.000", NOW_NS)) == ["SetSigma", "SetAxes", "SetPose", "SetState"]
     assert calibrator.stored is stored
     other = dataclasses.replace(CONFIG, machine="other")
@@ -341,14 +341,14 @@ def test_one_burst_of_sightings_is_one_look_at_drift() -> None:
             calibrator.take_panel(now + sighting * MS, beside, now + sighting * MS)
         for late_ms in (10, 300, 600):
             assert kinds(calibrator.look_around(now + late_ms * MS)) == (told if late_ms == 10 else [])
-    assert "the tip is seen 4.2 mm" in calibrator.state and "the panel's corner is seen 3.0 mm" in calibrator.state
+    assert "the tip is 4.2 mm" in calibrator.state and "the panel's corner is 3.0 mm" in calibrator.state
     # A recording that restarts, or a clock that was set back, is processed as before.
     for now in (NOW_NS - 100_000 * MS, NOW_NS - 99_000 * MS):
         look(calibrator, reading, now)
         calibrator.look_around(now + 10 * MS)
-        assert calibrator.drifted.startswith("the panel's corner is seen")
-    assert "the tip is seen" not in calibrator.state, "what the state says is what is still off"
-    assert "drift: the panel's corner is seen 3.0 mm" in calibrator.state and "the panel has moved" in calibrator.state
+        assert calibrator.drifted.startswith("the panel's corner is")
+    assert "the tip is" not in calibrator.state, "what the state says is what is still off"
+    assert "drift: the panel's corner is 3.0 mm" in calibrator.state and "the panel has moved" in calibrator.state
 
 
 def test_homing_begins_the_readings_anew() -> None:
@@ -368,7 +368,7 @@ def test_what_was_seen_with_the_camera_before_is_no_sample_and_no_place_of_the_p
     look(calibrator, reading, NOW_NS)
     calibrator.take_panel(NOW_NS, POSE, NOW_NS)
     calibrator.take_camera("left", camera(1710.0), NOW_NS + 4 * MS)
-    with pytest.raises(CalibrationRefused, match="the tip was seen 0 of 3 times"):
+    with pytest.raises(CalibrationRefused, match="the cameras saw the tip 0 of 3 times"):
         calibrator.add_sample(NOW_NS + 5 * MS)
     calibrator.take_camera("left", camera(), NOW_NS + 6 * MS)
     now = NOW_NS

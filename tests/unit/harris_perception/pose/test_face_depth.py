@@ -48,6 +48,6 @@ def test_only_looks_that_agree_in_a_row_tell_anything() -> None:
     assert depth.text == ""
     for _ in range(LOOKS):
         depth.add(-0.0063)
-    assert depth.text is not None and "see the panel 6.3 mm further away than its print says, 2 mm" in depth.text
+    assert depth.text is not None and "see the panel 6.3 mm further away than its print (limit 2 mm" in depth.text
     depth.add(math.nan)
     assert "6.3 mm" in depth.text, "it says the same until it is over"

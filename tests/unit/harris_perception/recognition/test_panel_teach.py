@@ -77,7 +77,7 @@ def test_a_panel_taught_from_a_picture_is_found(tmp_path: Path, capsys: pytest.C
     ("old", "new", "words"),
     [
         ("corners", ["1,1", "2,2", "3,3", "4,4"], "do not go round the face"),
-        ("corners", ["1,1", "2,2", "3,3", "a,4"], "pixels u,v are needed"),
+        ("corners", ["1,1", "2,2", "3,3", "a,4"], "expected pixels u,v"),
         ("control", ["--control", "START:lever:3,4:5x6"], "kind 'lever' is none of"),
         ("control", ["--control", "START:button:3:5x6"], "NAME:kind:u,v:WIDTHxHEIGHT"),
     ],
@@ -98,7 +98,7 @@ def test_what_does_not_make_a_panel_is_refused(
         (["--size-mm", "inf", "150"], "inf x 600 px at 4 px/mm: sides from 48 to 8192 px"),
         (["--size-mm", "320", "nan"], "1280 x nan px at 4 px/mm: sides from 48 to 8192 px"),
         (["--px-per-mm", "inf"], "inf x inf px at inf px/mm: sides from 48 to 8192 px"),
-        (["--corners", "1,2,3", "2,2", "3,3", "4,4"], "--corners 1,2,3 2,2 3,3 4,4: pixels u,v are needed"),
+        (["--corners", "1,2,3", "2,2", "3,3", "4,4"], "--corners 1,2,3 2,2 3,3 4,4; expected pixels u,v"),
         (["missing.png"], "missing.png does not exist"),
     ],
 )
@@ -118,7 +118,7 @@ def test_what_is_out_of_bounds_ends_with_one_line_and_no_file(
 def test_a_drawing_of_an_unknown_kind_ends_with_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["check", str(scene.LAYOUT), "--drawing", str(tmp_path / "face.xyz")]) == 1
     error = capsys.readouterr().err
-    assert "face.xyz cannot be written" in error and error.count("\n") == 1
+    assert "cannot write face.xyz" in error and error.count("\n") == 1
 
 
 def test_a_drawing_that_does_not_fit_on_the_disk_is_no_success(

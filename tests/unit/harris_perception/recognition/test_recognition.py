@@ -248,13 +248,13 @@ def test_panel_that_disappears_is_lost_at_once() -> None:
 
 
 def test_picture_of_another_size_is_refused() -> None:
-    with pytest.raises(ValueError, match=r"the picture has \(640, 480\) px, the camera's calibration \(1280, 720\)"):
+    with pytest.raises(ValueError, match=r"the image has \(640, 480\) px, the camera's calibration \(1280, 720\)"):
         recogniser().locate(np.zeros((480, 640), np.uint8), np.empty((0, 2)), CAMERA)
 
 
 def test_a_picture_of_16_bits_is_refused_and_not_searched_for_its_lower_ones() -> None:
     deep: Any = np.zeros((720, 1280), np.uint16)
-    with pytest.raises(ValueError, match="the picture has values of uint16, uint8 is needed"):
+    with pytest.raises(ValueError, match="the image has values of uint16; expected uint8"):
         recogniser().locate(deep, np.empty((0, 2)), CAMERA)
 
 

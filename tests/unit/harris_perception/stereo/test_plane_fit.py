@@ -106,9 +106,9 @@ def test_a_depth_as_sure_as_no_number_tells_is_refused(value: float) -> None:
     for which in (3, slice(3, None)):
         wrong = sigma.copy()
         wrong[which] = value
-        with pytest.raises(ValueError, match=rf"sigma_m\[3\] = {value:g} m: a finite number above 0 is needed"):
+        with pytest.raises(ValueError, match=rf"sigma_m\[3\] = {value:g} m; expected a finite number above 0"):
             fit_plane(points, wrong, PlaneConfig(), np.random.default_rng(0))
-    with pytest.raises(ValueError, match=r"sigma_m has shape \(49,\), \(50,\) is needed"):
+    with pytest.raises(ValueError, match=r"sigma_m has shape \(49,\); expected \(50,\)"):
         fit_plane(points, sigma[:49], PlaneConfig(), np.random.default_rng(0))
 
 

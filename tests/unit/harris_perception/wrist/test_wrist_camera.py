@@ -153,12 +153,12 @@ def test_few_right_poses_are_all_used(count: int) -> None:
 
 def test_what_cannot_be_solved_is_refused_with_the_motion_that_helps() -> None:
     grippers, targets = motions(8, np.random.default_rng(4))
-    with pytest.raises(DegenerateError, match="2 poses, 3 are needed: turn the wrist"):
+    with pytest.raises(DegenerateError, match="2 poses; expected 3: turn the wrist"):
         calibrate_wrist(grippers[:2], targets[:2])
     with pytest.raises(DegenerateError, match="8 gripper poses and 7 target poses do not pair"):
         calibrate_wrist(grippers, targets[:7])
     still = [turned((0.0, 0.0, 0.001 * k), (0.1 * k, 0.0, 0.02 * k)) for k in range(8)]
-    with pytest.raises(DegenerateError, match=r"turned by at most 0\.4 degrees, 10 are needed: .* two different axes"):
+    with pytest.raises(DegenerateError, match=r"turned by at most 0\.4 degrees; expected 10: .* two different axes"):
         calibrate_wrist(still, [(g @ X).inverse() @ Z for g in still])
     one_axis = [turned((0.0, 0.0, 0.2 * k), (0.1 * k, 0.0, 0.02 * k)) for k in range(8)]
     with pytest.raises(DegenerateError, match=r"about one axis, \(.*1\.00\) of the gripper.* 10 degrees or more about"):

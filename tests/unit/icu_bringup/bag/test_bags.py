@@ -274,7 +274,7 @@ def test_what_is_no_bag_is_not_to_be_repaired(name: str, tmp_path: Path, capsys:
     for more in ([], ["--repair", str(tmp_path / "new")]):
         assert bag_info.main([str(path), *more]) == 1
         shown = capsys.readouterr()
-        needed = "is no bag: a folder with one, or a .mcap or .db3 file, is needed"
+        needed = "is no bag; expected a folder with one, or a .mcap or .db3 file"
         why = "does not exist" if name == "missing" else needed
         assert (shown.out, shown.err) == ("", f"error: {path} {why}\n")
     assert not (tmp_path / "new").exists()

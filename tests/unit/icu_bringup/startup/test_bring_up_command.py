@@ -25,10 +25,10 @@ DEADLINE_S = 60.0
 @pytest.mark.parametrize(
     ("given", "said"),
     [
-        (["--set", "recognition.rate_hz"], "error: --set recognition.rate_hz: PROGRAM.PARAMETER=VALUE is needed"),
-        (["--set", "recognition=5"], "error: --set recognition=5: PROGRAM.PARAMETER=VALUE is needed"),
+        (["--set", "recognition.rate_hz"], "error: --set recognition.rate_hz; expected PROGRAM.PARAMETER=VALUE"),
+        (["--set", "recognition=5"], "error: --set recognition=5; expected PROGRAM.PARAMETER=VALUE"),
         (["--set", "recognition.rate_hz="], "error: --set recognition.rate_hz: a value is needed"),
-        (["--set", "recognition.layout=[1"], "error: --set recognition: 'layout=[1': the value cannot be read"),
+        (["--set", "recognition.layout=[1"], "error: --set recognition: 'layout=[1': cannot read the value"),
         (["--set", "mock_grbl.link=/tmp/b"], "error: --set mock_grbl.link=/tmp/b: mock_grbl is no node"),
         (["--set", "nobody.rate_hz=5"], "error: no program nobody; there are "),
         (["--only", "nobody"], "error: no program nobody; there are "),
@@ -38,7 +38,10 @@ DEADLINE_S = 60.0
         ),
         (["--profile", "replay", "--prepare"], "error: --prepare moves the machine; profile replay has none"),
         *((["--namespace", name], f"error: namespace {name}: ") for name in ("a b", "1bed", "a-b", "b\u00e4d", "a//b")),
-        (["--namespace", "../../elsewhere"], "error: namespace ../../elsewhere: names of letters, digits and _"),
+        (
+            ["--namespace", "../../elsewhere"],
+            "error: namespace ../../elsewhere; expected names of letters, digits and _",
+        ),
     ],
 )
 def test_what_names_no_setting_or_program_is_refused(
@@ -103,6 +106,20 @@ def test_files_that_are_added_to_the_sources_configuration_are_found_without_a_n
     assert configuration_folder() == source.resolve()
     (built / "graph.yaml").unlink()
     (built / "graph.yaml").write_text("programs: {}")  # as without --symlink-install
+    assert configuration_folder() == built.resolve()
+
+
+@pytest.mark.parametrize("package", ["icu_bringup", "icu_simulator"])
+def test_a_program_of_any_package_finds_the_configuration_next_to_its_own_folder(
+    package: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """colcon installs each package into a folder of its own: ``bench_render`` is in the simulator's."""
+    built = tmp_path / "install" / "icu_bringup" / "share" / "icu_bringup" / "config"
+    built.mkdir(parents=True)
+    (built / "graph.yaml").write_text("programs: {}")
+    for name in ("ICU_CONFIG", "AMENT_PREFIX_PATH"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr("sys.argv", [str(tmp_path / "install" / package / "lib" / package / "program")])
     assert configuration_folder() == built.resolve()
 
 

@@ -24,8 +24,8 @@ def test_values_are_those_of_yaml_and_numbers_with_an_exponent() -> None:
     ("pair", "message"),
     [
         ("k", "'k': expected KEY=VALUE"),
-        ("k=[1", "'k=[1': the value cannot be read"),
-        ("k=2026-13-45", "'k=2026-13-45': the value cannot be read"),
+        ("k=[1", "'k=[1': cannot read the value"),
+        ("k=2026-13-45", "'k=2026-13-45': cannot read the value"),
     ],
 )
 def test_what_cannot_be_read_is_named(pair: str, message: str) -> None:

@@ -58,7 +58,9 @@ def test_the_robots_own_programs_are_marked_and_the_three_largest_are_named() ->
     )
     assert load.busy and not ProcessorLoad(cores=3, load_average=7.0, programs=load.programs).busy
     idle = ProcessorLoad(cores=2, load_average=0.2, programs=(ProgramLoad(name="a", percent=3.0, own=False),))
-    assert idle.text() == "load 0.2 on 2 cores, the robot uses 0 %, other programs 3 %: none needs much"
+    assert (
+        idle.text() == "load 0.2 on 2 cores, the robot uses 0 %, other programs 3 %: no program of the robot needs much"
+    )
 
 
 def test_a_meter_measures_once_for_several_messages_and_in_another_thread() -> None:
@@ -75,7 +77,7 @@ def test_a_meter_measures_once_for_several_messages_and_in_another_thread() -> N
     assert said == []
     may_end.set()
     meter.finish(WITHIN_S)
-    text = "load 1.0 on 2 cores, the robot uses 0 %, other programs 0 %: none needs much"
+    text = "load 1.0 on 2 cores, the robot uses 0 %, other programs 0 %: no program of the robot needs much"
     assert said == [f"first {text}", f"second {text}"]
     meter.describe(lambda text: said.append(f"third {text}"))
     assert said[2] == f"third {text}" and len(threads) == 1 and threads[0] is not threading.current_thread()

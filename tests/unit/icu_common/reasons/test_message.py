@@ -22,7 +22,7 @@ def same(found: object, wanted: Message) -> bool:
 
 
 def test_a_message_is_its_english_text() -> None:
-    assert OFF == "touched 0.30 mm beside the target, 0.2 mm are allowed"
+    assert OFF == "touched 0.30 mm off the target (limit 0.2 mm)"
     assert OFF.values == {"error_mm": 0.304, "bound_mm": 0.2}
 
 
@@ -39,7 +39,7 @@ def test_an_error_keeps_the_message_it_was_raised_with() -> None:
 def test_a_message_inside_another_keeps_its_code() -> None:
     whole = Message("controller.machine_told_stop", cause=OFF)
     assert same(whole.values["cause"], OFF)
-    assert whole == f"{OFF}; the machine was told to stop"
+    assert whole == f"{OFF}; the controller has ordered a stop"
 
 
 @pytest.mark.parametrize("copied", [copy.copy, copy.deepcopy, lambda m: pickle.loads(pickle.dumps(m))])

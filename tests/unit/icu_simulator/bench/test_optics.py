@@ -114,5 +114,5 @@ def test_rotation_is_counter_clockwise() -> None:
 
 
 def test_wrong_lengths_are_refused() -> None:
-    with pytest.raises(ConfigError, match=r"distortion = \(0.1,\) has 1 values, 10 are needed"):
+    with pytest.raises(ConfigError, match=r"distortion = \(0.1,\) has 1 values; expected 10"):
         dataclasses.replace(BenchCameraConfig(), distortion=(0.1,))

@@ -108,11 +108,11 @@ def test_a_jog_that_is_let_go_while_its_record_is_written_does_not_begin() -> No
 
 def test_nobody_to_take_a_command_is_said() -> None:
     async def scenario(rig: Rig) -> None:
-        rig.graph.refuses = "no gantry controller listens"
+        rig.graph.refuses = "no gantry controller is running"
         async with page(rig, take=True) as client:
             await client.ask(type="call", service="home")
             failed = await client.until(lambda m: m["type"] == "log" and m["entry"]["status"] == "failed")
-            assert failed["entry"]["reason"] == "no gantry controller listens"
+            assert failed["entry"]["reason"] == "no gantry controller is running"
 
     with_rig(scenario)
 

@@ -56,7 +56,7 @@ def test_an_end_that_is_asked_before_the_program_listens_still_leaves_a_whole_ba
     with pytest.raises(GraphUnavailable, match="already recording to"):
         recorder.start(lambda ok, text: None)
     recorder.end(lambda ok, text: answers.put(("end", ok, text)))
-    with pytest.raises(GraphUnavailable, match="is being finished already"):
+    with pytest.raises(GraphUnavailable, match="bag_record already finishes"):
         recorder.end(lambda ok, text: None)
     assert answers.empty(), "it neither records nor has it ended"
     (program.parent / "gate").write_text("go")
@@ -65,7 +65,7 @@ def test_an_end_that_is_asked_before_the_program_listens_still_leaves_a_whole_ba
     bag = Path(text.removeprefix("recording to "))
     assert answers.get(timeout=WITHIN_S) == ("end", True, f"recorded to {bag}: 7 messages")
     assert bag.read_text() == "whole"
-    with pytest.raises(GraphUnavailable, match="nothing is being recorded"):
+    with pytest.raises(GraphUnavailable, match="no recording is running"):
         recorder.end(lambda ok, text: None)
     recorder.close()
 
@@ -159,7 +159,7 @@ def test_the_recorder_is_found_beside_the_bridge(
     bridge.parent.mkdir(parents=True)
     monkeypatch.setattr(sys, "argv", [str(bridge)])
     recorder = Recorder(str(tmp_path / "sessions"))
-    with pytest.raises(GraphUnavailable, match="bag_record is not installed beside this program"):
+    with pytest.raises(GraphUnavailable, match="this program's folder has no bag_record"):
         recorder.start(lambda ok, text: None)
     made(prefixes[1] / "lib" / "icu_bringup" / "bag_record", "#!/bin/sh\necho recording\n")
     answers: queue.Queue[bool] = queue.Queue()

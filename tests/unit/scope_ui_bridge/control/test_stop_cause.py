@@ -171,7 +171,7 @@ def test_controller_that_stops_a_machine_at_rest_is_named_with_its_reason() -> N
 
 
 def test_lost_heartbeat_is_named_by_its_code() -> None:
-    text = "stopped: operator's heartbeat lost: 0.61 s old, 0.6 s are allowed"
+    text = "stopped: operator's heartbeat lost: 0.61 s old (limit 0.6 s)"
     assert driver_stops(moving(), text, {}) is None, "no words decide"
     heartbeat = {CODE: DriverCode.HEARTBEAT_LOST.value}
     assert driver_stops(moving(), text, heartbeat) == {"code": "stopped_heartbeat", "who": "", "silence_s": 0.0}
@@ -180,7 +180,7 @@ def test_lost_heartbeat_is_named_by_its_code() -> None:
 def test_requested_stop_that_left_the_stylus_down_is_shown_with_all_its_clauses() -> None:
     rig = moving()
     rig.ask(rig.a, type="stop")
-    assert driver_stops(rig, "stopped: stop requested; the stylus was not lifted, it may still press") is None
+    assert driver_stops(rig, "stopped: stop requested; the board did not lift the stylus, it may still press") is None
 
 
 def test_code_of_an_earlier_state_explains_no_later_one() -> None:

@@ -76,7 +76,7 @@ def test_a_stop_or_a_change_of_control_ends_the_wait(what: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "state", ["alarm: ALARM:1", "stopped: stop requested; the stylus was not lifted, it may still press", ""]
+    "state", ["alarm: ALARM:1", "stopped: stop requested; the board did not lift the stylus, it may still press", ""]
 )
 def test_a_machine_in_another_state_than_the_person_has_seen_is_not_reset(state: str) -> None:
     rig = Early()

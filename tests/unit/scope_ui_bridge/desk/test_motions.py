@@ -134,7 +134,7 @@ def test_a_step_whose_record_was_long_in_writing_is_not_begun_once_it_is_let_go(
         rig.wait(0.2, alive=True)
         rig.jog(1, 0)
     assert rig.desk.still_wanted(first, rig.now), "it is held all the time"
-    rig.desk.answers.order_failed(first, "no gantry controller listens", rig.now)
+    rig.desk.answers.order_failed(first, "no gantry controller is running", rig.now)
     rig.desk.machine.set_position(0.1, 0.05, 0.0, rig.now)
     assert of_type(rig.jog(1, 0), SendGoal), "what did not go out is begun anew, and not waited for"
 

@@ -94,8 +94,8 @@ def test_a_stop_whose_answer_was_lost_is_done_when_the_driver_says_that_it_has_s
 def test_a_stop_that_nobody_heard_is_not_told_to_be_done() -> None:
     rig = Rig()
     (alone,) = of_type(rig.ask(rig.a, type="stop"), StopNow)
-    (failed,) = logged(rig.desk.answers.service_answered(alone.entry, False, "no driver listens", rig.now))
-    assert (failed["status"], failed["reason"]) == ("failed", "no driver listens")
+    (failed,) = logged(rig.desk.answers.service_answered(alone.entry, False, "no driver is running", rig.now))
+    assert (failed["status"], failed["reason"]) == ("failed", "no driver is running")
     for press in ("again", "and again"):
         rig.seconds += 1.0
         rig.ask(rig.a, type="stop", press=press)

@@ -91,16 +91,16 @@ def test_a_stored_sequence_is_started_by_its_name() -> None:
         (["press:RUN_STOP", "poke:RUN_STOP"], "sequence_wrong", "step 2: gesture 'poke' is none of"),
         (["press:RUN_STOP => smoke"], "sequence_wrong", "check 'smoke'"),
         (["hold:RUN_STOP:31"], "sequence_wrong", "up to 30"),
-        (["press:RUN_STOP id=7"], "sequence_wrong", "given by the sequencer"),
+        (["press:RUN_STOP id=7"], "sequence_wrong", "the sequencer gives the ids"),
         (["press:RUN_STOP", "press:MENU"], "sequence_control", "MENU"),
         (["press:RUN_STOP => lamp:MENU=red"], "sequence_control", "MENU"),
         (["press:RUN_STOP\npress:X"], "malformed", "steps"),
-        (["press:RUN_STOP", "press:\tMENU"], "malformed", r"steps 2 = 'press:\\tMENU': a text of up to 300"),
+        (["press:RUN_STOP", "press:\tMENU"], "malformed", r"steps 2 = 'press:\\tMENU'; expected a text of up to 300"),
         (["press:RUN_STOP", "press:" + "M" * 301], "malformed", "steps 2 = 'press:" + "M" * 34 + "'"),
-        (["press:RUN_STOP"] * 120, "malformed", "steps = '120': 1 to 100 texts"),
+        (["press:RUN_STOP"] * 120, "malformed", "steps = '120'; expected 1 to 100 texts"),
         (["press:RUN_STOP => lamp:RUN_STOP=rde"], "sequence_wrong", "lamp 'rde' is none of off, white, red"),
         (["press:RUN_STOP", "turn:RUN_STOP:30"], "sequence_wrong", "step 2: RUN_STOP is a button; only a knob"),
-        (["press:RUN_STOP => lamp:CH1_SCALE=red"], "sequence_wrong", "lamps are seen on RUN_STOP"),
+        (["press:RUN_STOP => lamp:CH1_SCALE=red"], "sequence_wrong", "only on RUN_STOP"),
     ],
 )
 def test_wrong_sequences_are_refused_and_nothing_goes_out(steps: Any, code: str, words: str) -> None:
@@ -136,7 +136,7 @@ def test_a_stored_sequence_is_found_by_its_name_however_its_letters_are_composed
 def test_a_stored_sequence_that_no_page_could_name_is_refused(stem: str, shown: str) -> None:
     with pytest.raises(SequenceError) as caught:
         stored_name(stem)
-    assert str(caught.value) == f"file's name {shown} characters: 64 that are all seen are allowed"
+    assert str(caught.value) == f"file's name {shown} characters (limit 64, all visible)"
 
 
 @pytest.mark.parametrize(

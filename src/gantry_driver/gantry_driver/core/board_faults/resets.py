@@ -28,7 +28,7 @@ class ResetLog:
     """States reported in this row."""
 
     def reset(self, reason: str, lost: int, now: float) -> list[Note]:
-        """Return what to log of a reset with ``lost`` lines unanswered."""
+        """Return the log text of a reset with ``lost`` unanswered lines."""
         if self.in_a_row:
             self.more, self.lost, self.last_at = self.more + 1, self.lost + lost, now
             return []

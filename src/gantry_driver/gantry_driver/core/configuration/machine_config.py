@@ -117,7 +117,7 @@ class StylusConfig(Config):
     def __post_init__(self) -> None:
         super(StylusConfig, self).__post_init__()
         if len(self.servo_range) != 2 or not self.servo_range[0] < self.servo_range[1]:
-            raise ConfigError(f"servo_range = {self.servo_range!r}: a lower and a higher value are needed")
+            raise ConfigError(f"servo_range = {self.servo_range!r}; expected a lower and a higher value")
         for name in ("servo_up", "servo_down"):
             value = getattr(self, name)
             if not self.servo_range[0] <= value <= self.servo_range[1]:
@@ -331,7 +331,7 @@ class DriverConfig(Config):
         )
         if self.clearance_m < needed_m:
             raise ConfigError(
-                f"clearance_m = {self.clearance_m:g}: {needed_m:.4f} m are needed to stop a damaged line above the "
+                f"clearance_m = {self.clearance_m:g}; expected {needed_m:.4f} m to stop a damaged line above the "
                 "panel; raise clearance_m and the controller's hover_m, or lower max_rate_mm_min of z, or raise "
                 "acceleration_mm_s2 of z or touch_status_rate_hz"
             )

@@ -9,13 +9,13 @@ from enum import Enum
 from icu_common.core.reasons.message import Message
 
 SIGMAS = 3.0
-"""Minimum size of a reported surprise, in standard deviations."""
+"""Minimum reported difference from the expectation, in standard deviations."""
 LEAST_M = 0.0003
-"""Minimum size of a reported surprise, in metres."""
+"""Minimum reported difference from the expectation, in metres."""
 
 
 class HeightFindingCode(str, Enum):
-    """Machine-readable kind of a surprise at a look or a touch."""
+    """Machine-readable kind of an unexpected height at a look or a touch."""
 
     STYLUS_OFFSET = "stylus_offset"
     """The ball is seen higher (positive) or lower than its readings: lost steps, or a bumped stylus."""
@@ -28,7 +28,7 @@ class HeightFindingCode(str, Enum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HeightFinding:
-    """A surprise larger than three standard deviations, in metres."""
+    """A height in metres that is more than three standard deviations from its expectation."""
 
     code: HeightFindingCode
     value_m: float
@@ -61,7 +61,7 @@ class HeightEstimate:
     Parameters
     ----------
     code
-        Code of a surprise.
+        Code of an unexpected height.
     value_m, sigma_m
         Expected value and standard deviation before the first measurement.
     drift_m

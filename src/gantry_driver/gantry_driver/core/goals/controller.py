@@ -311,7 +311,7 @@ class Controller(GoalPhases):
             self._reject(plain(_id_in(text)), plain(text), plain(str(error)))
             return
         if (held_s := self._world.held_up_s) > CLICK_MAX_AGE_S:
-            # A command has no stamp: this one may have waited during the whole hold-up.
+            # A command has no stamp: this one may have waited during the whole blockage.
             delay = Delay(
                 code=ResultCode.STALE, what=Message("goal.command"), measured_s=held_s, limit_s=CLICK_MAX_AGE_S
             )

@@ -89,9 +89,9 @@ class GoalRun:
         self._late = None
 
     def _move_deadline(self, gap_s: float) -> None:
-        """Extend a phase by the hold-up of the controller: the awaited message may be in the queue.
+        """Extend a phase by a blockage of the controller: the awaited message may be in the queue.
 
-        A contact is never extended, and no phase lasts more than twice its time, however often hold-ups occur.
+        A contact is never extended, and no phase lasts more than twice its time, however often blockages occur.
         """
         if self.phase is GoalPhase.CONTACT:
             return

@@ -227,7 +227,7 @@ class SequenceRun:
         return found
 
     def _unlike(self, check: StepCheck, answer: GoalResult) -> str:
-        """Return what is seen instead of the check's expectation, empty if it is fulfilled."""
+        """Return the observation that contradicts the check's expectation, empty if none does."""
         details = dict(answer.details)
         effect = details.get(EFFECT, Message("sequence.not_looked"))
         if check.kind == "effect":

@@ -50,7 +50,7 @@ class World:
     wall_held_up_s: float = 0.0
     """The same as ``held_up_s``, in wall time."""
     held_up_s: float = 0.0
-    """Seconds by which messages may look too old, because the controller itself was held up."""
+    """Seconds by which messages may look too old, because the controller itself was blocked."""
     driver: str = because("disconnected", Message("inputs.nothing_heard_driver"))
     readings: Array | None = None
     readings_ns: int = 0
@@ -285,7 +285,7 @@ class World:
     def age_s(self, when_ns: int | None) -> float:
         """Return the age of a time in seconds, infinite for never.
 
-        Right after a hold-up of the controller, the time of the hold-up does not count, because newer messages still
+        Soon after a blockage of the controller, its time does not count, because newer messages still
         wait in its queue.
         """
         if not when_ns:

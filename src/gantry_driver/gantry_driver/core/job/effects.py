@@ -92,7 +92,7 @@ def effect(
 class Knob:
     """One knob that is turned to an angle: look, turn, look, until its marker is there.
 
-    A marker does not show whole turns, so a turn whose end is looked at is divided into parts of less than half a turn.
+    A marker does not show whole turns, so a turn with a look at its end is divided into parts of less than half a turn.
     This distinguishes a turn that slipped completely from a complete one. If a turn is short because of play, the next
     turn in the same direction is longer.
 

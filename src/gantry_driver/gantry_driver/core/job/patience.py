@@ -13,11 +13,11 @@ from icu_common.core.processes.delays import Delay, ResultCode
 from icu_common.core.reasons.message import Message
 
 CLICK_MAX_AGE_S = 2.0
-"""Maximum age of an order of a person, whatever held it up: an older one must never move anything."""
+"""Maximum age of a person's order, whatever delayed it: an older one must never move anything."""
 HELD_UP_S = 0.2
-"""Interval between two events, in seconds, above which the controller was held up; it ticks every 0.05 s."""
+"""Interval between two events, in seconds, above which the controller counts as blocked; it ticks every 0.05 s."""
 BACKLOG_S = 0.25
-"""Duration after a hold-up for which messages of that time may still wait in the queue."""
+"""Duration after a blockage for which messages of that time may still wait in the queue."""
 _GROWTH = 2.0
 
 
@@ -44,12 +44,12 @@ class HoldUp:
         self._gap_ns = self._noticed_ns = 0
 
     def note(self, now_ns: int) -> float:
-        """Take the time of an event; return the duration of a hold-up that has just ended in seconds, 0 for none."""
+        """Take the time of an event; return the duration in seconds of a blockage that has just ended, 0 for none."""
         gap_ns = 0 if self._last_ns is None else now_ns - self._last_ns
         self._last_ns = now_ns
         if gap_ns <= HELD_UP_S * NANO:
             return 0.0
-        # Right after a longer hold-up its messages may still wait.
+        # Soon after a longer blockage, messages of that time may still wait in the queue.
         before_ns = self._gap_ns if self._is_recent(now_ns - gap_ns) else 0
         self._gap_ns, self._noticed_ns = max(gap_ns, before_ns), now_ns
         return gap_ns / NANO
@@ -63,7 +63,7 @@ class HoldUp:
 
 
 def goal_limit_s(held_up_s: float, config: ControllerConfig) -> float:
-    """Return the maximum age of a stamped goal; the controller's own hold-up does not count against it."""
+    """Return the maximum age of a stamped goal; a blockage of the controller itself does not count."""
     return max(config.goal_max_age_s, min(config.goal_max_age_s + held_up_s, CLICK_MAX_AGE_S))
 
 

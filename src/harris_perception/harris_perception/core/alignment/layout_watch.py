@@ -124,7 +124,7 @@ class LayoutWatch:
         return {c.name: self._judge(c, panel) for c in self._layout.controls}
 
     def _panel(self) -> _Panel:
-        """Return what all measured controls say about the panel."""
+        """Return the findings of all measured controls about the panel."""
         tolerance_mm = self._layout.tolerance_mm / np.sqrt(3)
         first = list(filter(None, (self._estimate(c, tolerance_mm) for c in self._proud)))
         if len(first) < self.config.min_controls:

@@ -50,7 +50,7 @@ class BoardView:
     def __post_init__(self) -> None:
         for i in np.flatnonzero(~np.isfinite(self.xy).all(axis=1))[:1]:
             raise ValueError(
-                f"{self.name}: corner {self.ids[i]} is at {self.xy[i].tolist()} px: finite numbers are needed"
+                f"{self.name}: corner {self.ids[i]} is at {self.xy[i].tolist()} px; expected finite numbers"
             )
 
 

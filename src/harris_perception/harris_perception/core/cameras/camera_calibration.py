@@ -99,7 +99,7 @@ def calibrate_camera(
         judged = tuple(errors_of([v.name for v in kept], counts, np.ravel(errors).tolist(), config.outlier_factor))
         if (worst := worst_unfit(rms, judged, config)) is not None:
             raise CalibrationError(
-                f"corners are {rms:.1f} px rms from where they should be, {config.max_rms_px:g} are accepted; in "
+                f"corners are {rms:.1f} px rms from where they should be (limit {config.max_rms_px:g}); in "
                 f"{worst.name} {worst.rms_px:.1f}: is the board flat, and were the pictures sharp and of one camera?"
             )
         d = np.asarray(d, dtype=np.float64).ravel()[:5]

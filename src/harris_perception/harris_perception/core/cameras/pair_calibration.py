@@ -129,7 +129,7 @@ def calibrate_stereo(
         judged = tuple(errors_of(labels, counts, bundle.view_rms_px, config.outlier_factor))
         if (worst := worst_unfit(rms, judged, config)) is not None:
             raise CalibrationError(
-                f"corners are {rms:.1f} px rms from where they should be, {config.max_rms_px:g} are accepted; in "
+                f"corners are {rms:.1f} px rms from where they should be (limit {config.max_rms_px:g}); in "
                 f"{worst.name} {worst.rms_px:.1f}: alone they are {left.rms_px:.1f} px left and {right.rms_px:.1f} px "
                 "right; were both pictures of each pair taken at the same moment, by cameras that do not move against "
                 "each other?"
@@ -158,7 +158,7 @@ def _require_side_by_side(turn: Any, shift: Array) -> None:
     apart = float(np.linalg.norm(shift))
     if apart < _LEAST_BASELINE_M:
         raise CalibrationError(
-            f"the cameras come out {apart * 1e3:.3f} mm apart, at least {_LEAST_BASELINE_M * 1e3:g} mm are needed: "
+            f"the cameras come out {apart * 1e3:.3f} mm apart; expected at least {_LEAST_BASELINE_M * 1e3:g} mm: "
             "do both sides have pictures of the same camera?"
         )
     if abs(y) > abs(x):

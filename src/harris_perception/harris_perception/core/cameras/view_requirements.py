@@ -38,7 +38,7 @@ def require_views(board: CalibrationBoard, views: Sequence[BoardView], config: C
     """
     if len(views) < config.min_views:
         raise CalibrationError(
-            f"the board was found in {len(views)} pictures, at least {config.min_views} are needed (15 are good): "
+            f"the board was found in {len(views)} pictures; expected at least {config.min_views} (15 are good): "
             "take more, with the whole board sharp and evenly lit"
         )
     for view in views:

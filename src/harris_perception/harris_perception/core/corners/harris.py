@@ -99,7 +99,7 @@ class HarrisConfig(Config):
     def __post_init__(self) -> None:
         Config.__post_init__(self)
         if self.window_px % 2 == 0:
-            raise ConfigError(f"window_px = {self.window_px}: an odd number is needed")
+            raise ConfigError(f"window_px = {self.window_px}; expected an odd number")
         if self.even_spread and self.max_corners == 0:
             raise ConfigError("even_spread = True needs max_corners > 0, it is 0")
 
@@ -154,7 +154,7 @@ class HarrisDetector:
 
     def __init__(self, config: HarrisConfig | None = None, *, bands: int = 1, run: BandMap = map) -> None:
         if bands < 1:
-            raise ValueError(f"bands = {bands}: at least 1 is needed")
+            raise ValueError(f"bands = {bands}; expected at least 1")
         self.config = config if config is not None else HarrisConfig()
         self._bands, self._run = bands, run
         self.structure = StructureMatrix(

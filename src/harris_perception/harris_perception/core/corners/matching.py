@@ -67,7 +67,7 @@ class MatchConfig(Config):
     def __post_init__(self) -> None:
         Config.__post_init__(self)
         if self.patch_px % 2 == 0:
-            raise ConfigError(f"patch_px = {self.patch_px}: an odd number is needed")
+            raise ConfigError(f"patch_px = {self.patch_px}; expected an odd number")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -133,7 +133,7 @@ def describe(gray: npt.NDArray[np.uint8], xy: npt.ArrayLike, config: MatchConfig
         For another shape or dtype.
     """
     if gray.ndim != 2 or gray.dtype != np.uint8:
-        raise ValueError(f"a grey picture (H, W) uint8 is needed, not {gray.shape} {gray.dtype}")
+        raise ValueError(f"expected a grey picture (H, W) uint8, got {gray.shape} {gray.dtype}")
     points = np.asarray(xy, np.float32).reshape(-1, 2)
     if config.descriptor == "patch":
         return _patches(gray, points, config.patch_px)

@@ -23,9 +23,9 @@ def checked(gray: npt.NDArray[Any]) -> npt.NDArray[Any]:
     A read-only image is copied: numba would compile the kernels again for read-only arrays.
     """
     if gray.ndim != 2:
-        raise ValueError(f"a grey picture (H, W) is needed, not shape {gray.shape}")
+        raise ValueError(f"expected a grey picture (H, W), got shape {gray.shape}")
     if gray.dtype.newbyteorder("=") not in (np.uint8, np.uint16, np.float32):
-        raise ValueError(f"uint8, uint16 or float32 is needed, not {gray.dtype}")
+        raise ValueError(f"expected uint8, uint16 or float32, got {gray.dtype}")
     return gray if gray.flags.writeable else gray.copy()
 
 

@@ -89,7 +89,7 @@ def _prune(bits: Array, octets: Array, crowded: Array, most: int, steps: Array, 
     ends, lengths = np.empty(most, np.int32), np.empty(most, np.int32)
     marked = np.zeros(len(bits), np.uint64)
     count = 0
-    for i in range(len(crowded)):  # ends are many, branches few: searched from the branches, most ends are skipped
+    for i in range(len(crowded)):  # branches are rarer than ends, so a search from the branches skips most ends
         branch = crowded[i]
         pattern = pattern_of(octets, branch, row)
         if COUNT[pattern] < 3 or not has(bits, branch):

@@ -240,7 +240,7 @@ class EdgeDetector:
             light, a, b = cv2.split(cv2.cvtColor(picture, cv2.COLOR_BGR2LAB))
             return [(light, 1.0), (a, self.config.color**2), (b, self.config.color**2)], 1.0
         if picture.ndim != 2:
-            raise ValueError(f"a grey picture (H, W) or BGR (H, W, 3) uint8 is needed, not shape {picture.shape}")
+            raise ValueError(f"expected a grey picture (H, W) or BGR (H, W, 3) uint8, got shape {picture.shape}")
         gray, unit = in_range(checked(picture), _DIM)
         return [(np.ascontiguousarray(gray, np.uint8 if gray.dtype == np.uint8 else np.float32), 1.0)], unit
 

@@ -120,7 +120,7 @@ class CalibrationLook:
         return self._poses[-1][0] if self._poses else None
 
     def lacks(self) -> str:
-        """Return what is still missing before the machine may move on; empty if nothing is missing."""
+        """Return the missing part before the machine may move on; empty if none is missing."""
         still, images = self._still, sum(map(self._counts, self._images))
         if self._reading is None:
             return NO_READINGS
@@ -166,7 +166,7 @@ class CalibrationLook:
         return Seen(tip, panel)
 
     def late(self, now_ns: int) -> str:
-        """Return what is slow if a look has not ended in time; empty if everything but the tip was seen in time."""
+        """Return the late part of a look that has not ended in time; empty if only the tip is missing."""
         if any(map(self._counts, (*self._tips, *self._panels))):
             return ""
         waited_s = (now_ns - self._from_ns) / _NANO
@@ -204,5 +204,5 @@ class Patience:
         return round(min(seconds * 2.0**self._step, longest_s) * _NANO)
 
     def note(self, late: str) -> str:
-        """Return what is late, and the retry count, for people."""
+        """Return the late part and the retry count as a text for people."""
         return Message("calibration.repetition", late=late, step=self._step, retries=self._config.retries)

@@ -98,13 +98,13 @@ class RunConfig(Config):
         Config.__post_init__(self)
         for axis, low, high in (("x", self.x_min_m, self.x_max_m), ("y", self.y_min_m, self.y_max_m)):
             if low < self.approach_m:
-                raise ConfigError(f"{axis}_min_m = {low}: at least approach_m = {self.approach_m} is needed")
+                raise ConfigError(f"{axis}_min_m = {low}; expected at least approach_m = {self.approach_m}")
             if high <= low:
                 raise ConfigError(f"{axis}_max_m = {high} is not above {axis}_min_m = {low}")
         if not self.heights_m:
-            raise ConfigError("heights_m = (): at least one height is needed")
+            raise ConfigError("heights_m = (); expected at least one height")
         if self.columns == self.rows == 2:
-            raise ConfigError("columns = 2, rows = 2: at least 3 of one are needed, for two held-out places between")
+            raise ConfigError("columns = 2, rows = 2; expected at least 3 of one, for two held-out places between")
 
 
 def plan(config: RunConfig, *, see_tip: bool = True) -> list[CalibrationStop]:

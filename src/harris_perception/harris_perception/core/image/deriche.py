@@ -49,7 +49,7 @@ def recursive_filter(sigma: float, derivative: bool) -> RecursiveFilter:
         For sigma below 0.5, where the approximation of a sampled Gaussian is poor.
     """
     if not sigma >= 0.5:
-        raise ValueError(f"sigma = {sigma}: at least 0.5 px is needed")
+        raise ValueError(f"sigma = {sigma}; expected at least 0.5 px")
     terms = _DERIVATIVE if derivative else _SMOOTH
     # Each oscillation is half the sum of g p^n and its conjugate.
     gains = np.array([z for a, b, _, _ in terms for z in ((a - 1j * b) / 2, (a + 1j * b) / 2)])

@@ -79,7 +79,7 @@ class MarkerFinder:
                 if sides.min() >= _LEAST_SIDE_PX:
                     refined = _refine(gray, raw, float(sides.mean()) / (dictionary(name).markerSize + 2))
                     corners_px = camera.rectify(refined)
-                    if np.isfinite(corners_px).all():  # not where the lens has no rays
+                    if np.isfinite(corners_px).all():  # without corners for which the lens model has no rays
                         found.append(SeenMarker(dictionary=name, id=int(number), corners_px=corners_px))
         return found
 

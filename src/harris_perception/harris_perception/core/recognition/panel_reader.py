@@ -222,7 +222,7 @@ class PanelReader:
             if np.abs(now[name] - shade * usual).max() > self.config.odd_colour:
                 odd.add(name)
         for name, colour in now.items():
-            # If the surrounding print agrees, an object that lies only on the control becomes usual after a while.
+            # If the surrounding print agrees, the reader slowly accepts an object on the control as its usual look.
             if name not in self._usual or name not in odd:
                 self._usual[name] = colour if name not in self._usual else 0.9 * self._usual[name] + 0.1 * colour
             elif prints.get(name, 0.0) > 0.9:

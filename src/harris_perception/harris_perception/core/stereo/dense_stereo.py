@@ -61,7 +61,7 @@ class SemiGlobalConfig(Config):
     def __post_init__(self) -> None:
         Config.__post_init__(self)
         if self.block_px % 2 == 0:
-            raise ConfigError(f"block_px = {self.block_px}: an odd number is needed")
+            raise ConfigError(f"block_px = {self.block_px}; expected an odd number")
         if self.p2 <= self.p1:
             raise ConfigError(f"p2 = {self.p2} is not above p1 = {self.p1}")
 

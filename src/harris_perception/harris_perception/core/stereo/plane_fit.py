@@ -107,11 +107,11 @@ def fit_plane(
     sigma = np.asarray(sigma_m, dtype=np.float64)
     z = xyz[:, 2]
     if sigma.shape != z.shape:
-        raise ValueError(f"sigma_m has shape {sigma.shape}, {z.shape} is needed: one for each point")
+        raise ValueError(f"sigma_m has shape {sigma.shape}; expected {z.shape}: one for each point")
     for i in np.flatnonzero(~(np.isfinite(xyz).all(axis=1) & (z > 0)))[:1]:
-        raise ValueError(f"points[{i}] = {xyz[i].tolist()} m: finite numbers with z above 0 are needed")
+        raise ValueError(f"points[{i}] = {xyz[i].tolist()} m; expected finite numbers with z above 0")
     for i in np.flatnonzero(~(np.isfinite(sigma) & (sigma > 0)))[:1]:
-        raise ValueError(f"sigma_m[{i}] = {sigma[i]:g} m: a finite number above 0 is needed")
+        raise ValueError(f"sigma_m[{i}] = {sigma[i]:g} m; expected a finite number above 0")
     if len(z) < config.min_points:
         return None
     design = np.column_stack([xyz[:, :2] / z[:, None], np.ones(len(z))])

@@ -12,14 +12,14 @@ Gray = npt.NDArray[np.uint8]
 
 
 class Rectifier:
-    """Rectifies raw grey images and caches the maps for it.
+    """Rectifies raw grey images, with cached maps of the pixels.
 
     Parameters
     ----------
     model
         The camera.
     size
-        (width, height) of the rectified images: for a pair, the left camera's for both. None: that of the raw images.
+        (width, height) of the rectified images; a pair uses the left camera's for both. None: size of the raw images.
     """
 
     def __init__(self, model: CameraModel, size: tuple[int, int] | None = None) -> None:

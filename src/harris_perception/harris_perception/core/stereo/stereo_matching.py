@@ -78,7 +78,7 @@ class StereoMatchConfig(DepthRange):
     def __post_init__(self) -> None:
         DepthRange.__post_init__(self)
         if self.window_px % 2 == 0:
-            raise ConfigError(f"window_px = {self.window_px}: an odd number is needed")
+            raise ConfigError(f"window_px = {self.window_px}; expected an odd number")
 
 
 def disparity_range(stereo: StereoModel, config: StereoMatchConfig) -> tuple[float, float]:
@@ -115,7 +115,7 @@ def match_corners(
         If the images differ in size.
     """
     if left.shape != right.shape:
-        raise ValueError(f"rectified pictures of {left.shape} and {right.shape} px: two of one size are needed")
+        raise ValueError(f"rectified pictures of {left.shape} and {right.shape} px; expected two of one size")
     half = config.window_px // 2
     left_fine, right_fine = left.astype(np.float32), right.astype(np.float32)
     left_place, left_at = _inside(left_px, left, half + 2)

@@ -46,13 +46,13 @@ def check_turns(base_from_gripper: Sequence[Transform], config: WristConfig) -> 
     """
     count = len(base_from_gripper)
     if count < 3:
-        raise DegenerateError(f"{count} poses, 3 are needed: turn the wrist and add one")
+        raise DegenerateError(f"{count} poses; expected 3: turn the wrist and add one")
     turns = rotation_vectors(np.array([x.rotation.T @ y.rotation for x, y in some_pairs(base_from_gripper)]))
     angles = np.linalg.norm(turns, axis=1)
     need = np.degrees(config.min_turn_rad)
     if angles.max() < config.min_turn_rad:
         raise DegenerateError(
-            f"the wrist turned by at most {np.degrees(angles.max()):.1f} degrees, {need:.0f} are needed: without turns "
+            f"the wrist turned by at most {np.degrees(angles.max()):.1f} degrees; expected {need:.0f}: without turns "
             "the camera's place does not show; turn it about two different axes"
         )
     axes = turns[angles >= config.min_turn_rad] / angles[angles >= config.min_turn_rad, None]

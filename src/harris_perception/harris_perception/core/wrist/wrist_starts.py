@@ -48,7 +48,7 @@ def best_start(
     pairs: Sequence[tuple[Transform, Transform]],
     halves: Sequence[Array],
 ) -> tuple[float, Transform, Transform]:
-    """Return squares, X and Z of the closed form, or of its rotation by one of ``halves`` with smaller squares."""
+    """Return the squared error, X and Z of the closed form or, if better, of the form turned by one of ``halves``."""
     x = closed_form(method, pairs)
     found = [(x, _mean_target(a, b, x)), *half_turned(x, a, b, pairs, halves)]
     return min(((squared_error(a, b, x, z), x, z) for x, z in found), key=lambda start: start[0])

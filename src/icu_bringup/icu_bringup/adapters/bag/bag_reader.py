@@ -174,7 +174,7 @@ def storage_files(path: Path) -> list[Path]:
     except OSError as error:
         raise BagError(f"{error.filename} cannot be read: {error.strerror}") from error
     if not found and not described:
-        raise BagError(f"{path} is no bag: a folder with one, or a .mcap or .db3 file, is needed")
+        raise BagError(f"{path} is no bag; expected a folder with one, or a .mcap or .db3 file")
     return found
 
 

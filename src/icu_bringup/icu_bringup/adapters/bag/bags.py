@@ -70,5 +70,5 @@ def reason_of(error: BaseException) -> str:
 
 
 def advice(path: Path) -> str:
-    """Return what to do with a broken bag."""
+    """Return the advice for a broken bag."""
     return f"save what can be read with: bag_info {shlex.quote(str(path))} --repair NEW_BAG"

@@ -18,14 +18,14 @@ _SHOWN = 60
 
 @dataclass(frozen=True, slots=True)
 class ComparedMessage:
-    """One message.
+    """One message of a bag.
 
     Attributes
     ----------
     stamp_ns
         Stamp of its header, 0 without one.
     values
-        By path.
+        Values of its fields, by the field's path.
     """
 
     stamp_ns: int

@@ -125,7 +125,7 @@ def _angle_deg(old: Array, new: Array) -> float:
     if not lengths > 0.0:
         return 0.0 if np.array_equal(old, new) else math.inf
     a, b = old / np.linalg.norm(old), new / np.linalg.norm(new)
-    # The chord, as the arc cosine has no digits for small angles; q and -q are the same rotation.
+    # By the chord, because the arc cosine loses its digits at small angles; q and -q are the same rotation.
     return math.degrees(
         4.0 * math.asin(min(1.0, float(np.linalg.norm(a - math.copysign(1.0, float(a @ b)) * b)) / 2.0))
     )

@@ -98,7 +98,7 @@ def check_namespace(namespace: str) -> None:
     """Raise :class:`GraphDescriptionError` unless the text is empty or a ROS namespace; it also names a folder."""
     if namespace and not _NAMESPACE.fullmatch(namespace):
         raise GraphDescriptionError(
-            f"namespace {namespace}: names of letters, digits and _ are needed, each with a letter first, "
+            f"namespace {namespace}; expected names of letters, digits and _, each with a letter first, "
             "with / between them"
         )
 
@@ -237,7 +237,7 @@ def _refuse_unread_values(programs: Sequence[Program]) -> None:
         readers = [str(PurePosixPath(p.namespace) / p.name) for p in programs if path in p.parameter_files]
         root = _read(path, yaml.compose)
         if root is not None and not isinstance(root, yaml.MappingNode):
-            raise GraphDescriptionError(f"{path.name}:1: a mapping of nodes to their ros__parameters is needed")
+            raise GraphDescriptionError(f"{path.name}:1; expected a mapping of nodes to their ros__parameters")
         for key, _ in root.value if root is not None else ():
             at = f"{path.name}:{key.start_mark.line + 1}"
             if not isinstance(key, yaml.ScalarNode):
@@ -271,10 +271,10 @@ def _check_form(document: Any) -> None:
     _check_kinds("graph.yaml", {key: document[key] for key in ("scope", "room") if key in document})
     for group in ("profiles", "programs"):
         if not isinstance(document[group], dict):
-            raise GraphDescriptionError(f"graph.yaml: {group} = {document[group]!r}: a mapping is needed")
+            raise GraphDescriptionError(f"graph.yaml: {group} = {document[group]!r}; expected a mapping")
         for name, entry in document[group].items():
             if not isinstance(entry, dict):
-                raise GraphDescriptionError(f"graph.yaml: {group}: {name}: a mapping is needed")
+                raise GraphDescriptionError(f"graph.yaml: {group}: {name}; expected a mapping")
     for name, entry in document["profiles"].items():
         if unknown := set(entry) - _PROFILE_KEYS:
             known = ", ".join(sorted(_PROFILE_KEYS))
@@ -285,13 +285,13 @@ def _check_form(document: Any) -> None:
 def _check_kinds(place: str, entry: Mapping[str, Any]) -> None:
     for key in (key for key in _TEXTS if key in entry):
         if not isinstance(entry[key], str):
-            raise GraphDescriptionError(f"{place}: {key} = {entry[key]!r}: a text is needed")
+            raise GraphDescriptionError(f"{place}: {key} = {entry[key]!r}; expected a text")
     for key in (key for key in _LISTS if key in entry):
         if not isinstance(entry[key], list) or not all(isinstance(text, str) for text in entry[key]):
-            raise GraphDescriptionError(f"{place}: {key} = {entry[key]!r}: a list of texts is needed")
+            raise GraphDescriptionError(f"{place}: {key} = {entry[key]!r}; expected a list of texts")
     for key in (key for key in _MAPPINGS if key in entry):
         if not isinstance(entry[key], dict):
-            raise GraphDescriptionError(f"{place}: {key} = {entry[key]!r}: a mapping is needed")
+            raise GraphDescriptionError(f"{place}: {key} = {entry[key]!r}; expected a mapping")
 
 
 def _check_keys(name: str, entry: Mapping[str, Any], profiles: list[str]) -> None:
@@ -311,7 +311,7 @@ def _check_keys(name: str, entry: Mapping[str, Any], profiles: list[str]) -> Non
         if profile not in profiles:
             raise GraphDescriptionError(f"{name}: when {profile!r}: the profiles are {', '.join(profiles)}")
         if not isinstance(addition, dict):
-            raise GraphDescriptionError(f"{name}: when {profile} = {addition!r}: a mapping is needed")
+            raise GraphDescriptionError(f"{name}: when {profile} = {addition!r}; expected a mapping")
         _check_kinds(f"{name}: when {profile}", addition)
         if set(addition) - _ADDABLE:
             raise GraphDescriptionError(f"{name}: when {profile}: only {', '.join(sorted(_ADDABLE))} can be added")

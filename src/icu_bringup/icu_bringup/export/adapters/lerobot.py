@@ -102,7 +102,7 @@ class Dataset:
                 picture = pixels(message)
                 shape = (*picture.shape[:2], picture.shape[2] if picture.ndim == 3 else 1)
                 if picture.dtype != np.uint8 or self._shapes.setdefault(camera, shape) != shape:
-                    raise BagError(f"camera {camera}: 8-bit images of one size are needed, found {shape}")
+                    raise BagError(f"camera {camera}; expected 8-bit images of one size, found {shape}")
                 self._samples[camera].append(picture[::4, ::4, ::-1] if shape[2] == 3 else picture[::4, ::4])
         except ValueError as error:
             raise BagError(f"camera {camera}: {error}") from error

@@ -129,7 +129,7 @@ def check(item: ConfigItem, value: Any) -> None:
     if origin is tuple:
         element = typing.get_args(item.kind)[0]
         if not isinstance(value, tuple):
-            raise ConfigError(f"{item.name} = {value!r}: a tuple of {element.__name__} is needed")
+            raise ConfigError(f"{item.name} = {value!r}; expected a tuple of {element.__name__}")
         for part in value:
             _check_scalar(item, element, part)
     else:
@@ -141,7 +141,7 @@ def _check_scalar(item: ConfigItem, kind: Any, value: Any) -> None:
     number = kind in (int, float)
     accepted: Any = (int, float) if kind is float else kind
     if not isinstance(value, accepted) or (number and isinstance(value, bool)):
-        raise ConfigError(f"{item.name} = {value!r}: {kind.__name__} is needed")
+        raise ConfigError(f"{item.name} = {value!r}; expected {kind.__name__}")
     if number:
         if kind is int and not -(2**63) <= value < 2**63:  # as a ROS parameter
             raise ConfigError(f"{item.name} = {value!r} does not fit into 64 bits")

@@ -19,7 +19,7 @@ def check_bounds(options: argparse.Namespace, **bounds: tuple[float, float]) -> 
         value = getattr(options, name)
         if value is not None and not least <= value <= most:
             allowed = f"{least:g} or more" if math.isinf(most) else f"{least:g} to {most:g}"
-            raise ValueError(f"--{name.replace('_', '-')} {value:g}: {allowed} is needed")
+            raise ValueError(f"--{name.replace('_', '-')} {value:g}; expected {allowed}")
 
 
 def named_path(text: str) -> Path:

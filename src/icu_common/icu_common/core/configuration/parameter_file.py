@@ -35,7 +35,7 @@ def values_for(node: str, path: Path) -> dict[str, Any]:
     except (AttributeError, KeyError, TypeError):
         entries = []
     if not entries:
-        raise ConfigError(f"{path}: ros__parameters for {node} are needed")
+        raise ConfigError(f"{path}; expected ros__parameters for {node}")
     return {name: value for entry in entries for name, value in entry.items()}
 
 

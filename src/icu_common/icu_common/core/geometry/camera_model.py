@@ -76,12 +76,12 @@ class CameraModel:
     def __post_init__(self) -> None:
         if not (0 < self.width <= _MOST_PX and 0 < self.height <= _MOST_PX):
             raise ValueError(
-                f"camera {self.name}: pictures of {self.width} x {self.height} px, 1 to {_MOST_PX} each way are needed"
+                f"camera {self.name}: pictures of {self.width} x {self.height} px; expected 1 to {_MOST_PX} each way"
             )
         for field_name, shape in (("k", (3, 3)), ("d", (5,)), ("r", (3, 3)), ("p", (3, 4))):
             value = np.asarray(getattr(self, field_name), dtype=np.float64)
             if value.shape != shape:
-                raise ValueError(f"camera {self.name}: {field_name} has shape {value.shape}, {shape} is needed")
+                raise ValueError(f"camera {self.name}: {field_name} has shape {value.shape}; expected {shape}")
             if not np.isfinite(value).all():
                 raise ValueError(f"camera {self.name}: {field_name} is not finite")
             object.__setattr__(self, field_name, value)
@@ -90,13 +90,11 @@ class CameraModel:
         if np.abs(self.r @ self.r.T - np.eye(3)).max() > 1e-3 or np.linalg.det(self.r) < 0:
             raise ValueError(f"camera {self.name}: r {self.r.tolist()} is not a rotation; of a single camera it is 1")
         if not (self.p[0, 0] > 0 and self.p[1, 1] > 0):
-            raise ValueError(
-                f"camera {self.name}: p has focal length {self.p[0, 0]}, {self.p[1, 1]}, above 0 is needed"
-            )
+            raise ValueError(f"camera {self.name}: p has focal length {self.p[0, 0]}, {self.p[1, 1]}; expected above 0")
         for field_name, fixed, form in _FORMS:
             value = getattr(self, field_name)
             if np.nanmax(np.abs(value - fixed)) > _NOTHING:
-                raise ValueError(f"camera {self.name}: {field_name} is {value.tolist()}, {form} is needed")
+                raise ValueError(f"camera {self.name}: {field_name} is {value.tolist()}; expected {form}")
 
     @property
     def size(self) -> tuple[int, int]:
@@ -211,13 +209,13 @@ class CameraModel:
             except (TypeError, ValueError):
                 data = np.empty(0)
             if data.size != rows * columns:
-                raise ValueError(f"{key} = {given!r}: {rows * columns} numbers are needed")
+                raise ValueError(f"{key} = {given!r}; expected {rows * columns} numbers")
             return data.reshape(rows, columns)
 
         def pixels(key: str) -> int:
             given = document[key]
             if isinstance(given, bool) or not isinstance(given, int | float) or given not in range(1, _MOST_PX + 1):
-                raise ValueError(f"{key} = {given!r}: a whole number from 1 to {_MOST_PX} is needed")
+                raise ValueError(f"{key} = {given!r}; expected a whole number from 1 to {_MOST_PX}")
             return int(given)
 
         return cls(
@@ -270,7 +268,7 @@ class StereoModel:
         if np.abs(np.subtract(*rows)).max() > 0.01:
             raise ValueError(f"rows differ: fy and cy of P are {rows[0]} left and {rows[1]} px right")
         if abs(self.left.p[0, 3]) > _NOTHING:
-            raise ValueError(f"left camera's P[0, 3] is {self.left.p[0, 3]}, 0 is needed: points are in its frame")
+            raise ValueError(f"left camera's P[0, 3] is {self.left.p[0, 3]}; expected 0: points are in its frame")
         if not self.baseline > 0:
             raise ValueError(f"baseline {self.baseline} m: the right camera's P[0, 3] must be negative")
 

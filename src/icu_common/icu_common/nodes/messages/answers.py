@@ -9,7 +9,7 @@ from icu_common.core.reasons.message import MAX_PACKED, Message, decoded, tree
 
 
 def answer_text(text: str) -> str:
-    """Return what a service answers; a text without a code is a single line."""
+    """Return the answer of a service; a text without a code is a single line."""
     return f"{text}\n{json.dumps(tree(text), separators=(',', ':'))}" if isinstance(text, Message) else text
 
 

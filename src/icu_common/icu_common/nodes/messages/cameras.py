@@ -117,7 +117,7 @@ def camera_model(info: CameraInfo, name: str = "camera") -> CameraModel:
         raise ValueError("the camera is not calibrated (K is 0)")
     if info.distortion_model != "plumb_bob" or len(info.d) != 5:
         model = plain(info.distortion_model, MAX_NAME)
-        raise ValueError(f"distortion {model!r} with {len(info.d)} values: plumb_bob with 5 is needed")
+        raise ValueError(f"distortion {model!r} with {len(info.d)} values; expected plumb_bob with 5")
     # The message has the size and matrices of the full image and the region before binning; 0 means the full image.
     roi, binning = info.roi, (max(info.binning_x, 1), max(info.binning_y, 1))
     width, height = roi.width or info.width, roi.height or info.height

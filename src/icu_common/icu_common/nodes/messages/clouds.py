@@ -41,7 +41,7 @@ def cloud_array(cloud: PointCloud2, columns: Sequence[str]) -> npt.NDArray[np.fl
     if missing:
         raise ValueError(f"the cloud has no float32 field {', '.join(missing)}; it has {_shown(offsets)}")
     if cloud.is_bigendian:
-        raise ValueError("the cloud has its most significant bytes first, the other order is needed")
+        raise ValueError("the cloud has its most significant bytes first; expected the other order")
     count, used = cloud.width * cloud.height, cloud.width * cloud.point_step
     # Rows may be padded; a single row need not state its length.
     row = (cloud.row_step or used) if cloud.height > 1 else used

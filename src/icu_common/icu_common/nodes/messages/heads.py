@@ -34,7 +34,7 @@ def header(stamp: int, frame: str) -> Header:
 def check_frame(head: Header, frame: str) -> None:
     """Raise ValueError unless a header names this frame."""
     if head.frame_id != frame:
-        raise ValueError(f"frame {plain(head.frame_id)!r}, {frame!r} is needed")
+        raise ValueError(f"frame {plain(head.frame_id)!r}; expected {frame!r}")
 
 
 def check_not_ahead(head: Header, clock: ROSClock) -> None:
@@ -44,4 +44,4 @@ def check_not_ahead(head: Header, clock: ROSClock) -> None:
     """
     ahead_s = (stamp_ns(head.stamp) - int(clock.now().nanoseconds)) / 1e9
     if ahead_s > MOST_AHEAD_S and not clock.ros_time_is_active:
-        raise ValueError(f"its stamp is {ahead_s:.3f} s ahead of the clock here, {MOST_AHEAD_S:g} s are allowed")
+        raise ValueError(f"its stamp is {ahead_s:.3f} s ahead of the clock here (limit {MOST_AHEAD_S:g} s)")

@@ -100,5 +100,5 @@ def trajectory_array(message: JointTrajectory, names: Sequence[str]) -> Array:
     for number, point in enumerate(message.points):
         if len(point.positions) != count or not np.isfinite(point.positions).all():
             found = list(point.positions[: count + 1])
-            raise ValueError(f"point {number}: {found}: {count} finite positions are needed")
+            raise ValueError(f"point {number}: {found}; expected {count} finite positions")
     return np.array([point.positions for point in message.points]).reshape(-1, count)[:, order]

@@ -96,5 +96,5 @@ def axes_message(base_from_reading: Array | None) -> Float64MultiArray:
 def axes_of_message(message: Float64MultiArray) -> Array | None:
     """Return base_from_reading (2, 2), None if it was withdrawn; raise ValueError unless there are 4 finite values."""
     if len(message.data) not in (0, 4) or not np.isfinite(message.data).all():
-        raise ValueError(f"{list(message.data[:5])}: 4 finite values are needed (2 x 2, row by row)")
+        raise ValueError(f"{list(message.data[:5])}; expected 4 finite values (2 x 2, row by row)")
     return np.array(message.data).reshape(2, 2) if message.data else None

@@ -20,9 +20,9 @@ _STATES_AT_REST = ("Idle", "Alarm", "Sleep")
 
 
 class BoardLink:
-    """A connection that is made again whenever it is lost; without a path there is no board.
+    """A connection that reconnects whenever it is lost; without a path there is no board.
 
-    The owner's selector serves it: the data of its key is what to call.
+    The owner's selector serves it: the data of its key is the function to call.
     """
 
     def __init__(self, path: Path | None, bench: Bench, selector: selectors.BaseSelector) -> None:

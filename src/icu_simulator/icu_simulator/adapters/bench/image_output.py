@@ -59,7 +59,7 @@ class ImageOutput:
             self._server = None
 
     def set_state(self, state: str) -> None:
-        """Let the cameras work, freeze or vanish."""
+        """Make the cameras run, freeze or disappear."""
         if state not in CAMERA_STATES:
             raise ValueError(f"state {state!r} is none of {', '.join(CAMERA_STATES)}")
         self.state = state

@@ -64,7 +64,7 @@ def hash_password(password: str, salt: bytes) -> str:
         If the password is too short or too long.
     """
     if not MIN_PASSWORD <= len(password) <= MAX_PASSWORD:
-        raise PasswordError(f"a password of {len(password)} characters: {MIN_PASSWORD} to {MAX_PASSWORD} are needed")
+        raise PasswordError(f"a password of {len(password)} characters; expected {MIN_PASSWORD} to {MAX_PASSWORD}")
     return f"scrypt${_COST}${_BLOCK}${_PARALLEL}${salt.hex()}${_scrypt(password, salt, _COST, _BLOCK, _PARALLEL).hex()}"
 
 

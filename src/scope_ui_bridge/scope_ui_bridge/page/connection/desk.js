@@ -57,7 +57,7 @@ class Desk {
     return { camera: this.video.shown?.camera ?? this.video.camera, stamp: this.video.shown?.stamp ?? "0" };
   }
 
-  /** What prevents every motion now, {code, values} as in a refusal; null if nothing does. */
+  /** Current obstacle to every motion, {code, values} as in a refusal; null without one. */
   get hindrance() {
     if (this.link.silent) return { code: "link_down" };
     if (this.replay) return { code: "replay" };
@@ -69,14 +69,14 @@ class Desk {
     return { code: "picture_late", values: { age_ms: Number.isFinite(age) ? Math.round(age) : "?", limit_ms: this.limits.max_age_ms } };
   }
 
-  /** What a page without control has to do first. */
+  /** First step of a page without control. */
   get #uncontrolled() {
     if (this.me.role === "viewer") return "role_viewer";
     if (this.waiting) return "wait_for_control";
     return this.state?.lease.holder ? "ask_first" : "no_lease";
   }
 
-  /** What prevents every gesture now, or null. */
+  /** Current obstacle to every gesture, or null. */
   get gestureHindrance() {
     return this.hindrance ?? this.#unready ?? this.state?.refusal ?? null;
   }

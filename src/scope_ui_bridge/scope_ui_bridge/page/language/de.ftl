@@ -102,7 +102,7 @@ action_enable = Freigeben
 action_disable = Sperren
 action_calibrate = Kalibrieren
 status_sent = gesendet
-under_way_record = startet, noch wird nichts aufgezeichnet
+under_way_record = startet, noch keine Aufzeichnung
 under_way_end_record = schreibt, was noch zu schreiben ist
 status_accepted = in Arbeit
 status_reached = erledigt
@@ -117,7 +117,7 @@ effect = Wirkung: { $effect }.
 touch_pressed = Gedrückt: Kontakt und Wirkung.
 touch_touched = Berührt: Kontakt, keine Wirkung zu sehen.
 touch_not_touched = Nicht berührt.
-touch_unknown = Ob berührt wurde, ist nicht bekannt.
+touch_unknown = Ob der Stift die Front berührt hat, ist nicht bekannt.
 
 unknown = unbekannt
 state_disconnected = Getrennt
@@ -158,12 +158,12 @@ banner_waiting = Nicht bereit: { $reason }
 banner_link_viewer = Die Verbindung ist verloren. STOP von dieser Seite kommt vielleicht nicht an. Neuer Versuch …
 banner_stop_failed = STOP ist nicht durchgekommen. Den verdrahteten Not-Halt benutzen.
 banner_link = Die Verbindung ist verloren. Die Maschine hält von selbst an. Neuer Versuch …
-banner_stale = Das Livebild ist alt. Nichts kann gewählt oder bewegt werden.
+banner_stale = Das Livebild ist alt. Sie können nichts wählen oder bewegen.
 banner_stopped = GESTOPPT – { $reason }.
 banner_stopped_bare = GESTOPPT.
 banner_until_reset = Nichts bewegt sich vor „Nach Stop zurücksetzen“.
 banner_alarm = ALARM – { $reason }
-banner_lost_control = Sie bedienen nicht mehr: die Bedienung wurde abgegeben, oder diese Seite war zu lange verdeckt oder still.
+banner_lost_control = Sie bedienen nicht mehr: Sie haben die Bedienung abgegeben, oder diese Seite war zu lange verdeckt oder still.
 
 stopped_page_frozen = die Seite des Bedieners antwortete nicht mehr (eingefroren oder überlastet)
 stopped_link_lost = die Verbindung zur Seite des Bedieners ist abgerissen
@@ -175,16 +175,16 @@ stopped_by_controller = die Steuerung des Roboters hat angehalten: { $who }
 stopped_elsewhere = der Stop kam von außerhalb dieser Seite
 stopped_heartbeat = der Herzschlag des Bedieners blieb aus: Seite, Brücke oder Verbindung antwortete nicht
 stopped_after = – { $seconds } s lang nichts
-stopped_page_gone = die Seite des Bedieners wurde geschlossen oder neu geladen
-stopped_flooding = die Seite des Bedieners hat viel zu viele Nachrichten gesendet; ihre Verbindung wurde getrennt
+stopped_page_gone = der Bediener hat die Seite geschlossen oder neu geladen
+stopped_flooding = die Seite des Bedieners hat viel zu viele Nachrichten gesendet; die Brücke hat ihre Verbindung getrennt
 stopped_signed_out = die Anmeldung des Bedieners ist beendet
-stopped_released = die Bedienung wurde während einer Bewegung abgegeben
+stopped_released = der Bediener hat die Bedienung während einer Bewegung abgegeben
 
-oversized = Die Nachricht hat { $size } Byte; höchstens { $limit } sind erlaubt.
-malformed = Die Brücke hat die Nachricht nicht verstanden: { $what }
+oversized = Die Nachricht hat { $size } Byte (Grenze { $limit }).
+malformed = Die Brücke kann die Nachricht nicht lesen: { $what }
 rate_limited = Zu viele Nachrichten; höchstens { $limit } in der Sekunde.
-old_boot = Die Brücke wurde neu gestartet; die Seite neu laden.
-replayed = Diese Nachricht wurde schon angenommen.
+old_boot = Die Brücke ist neu gestartet; die Seite neu laden.
+replayed = Die Brücke hat diese Nachricht schon bekommen.
 too_many_viewers = { $limit ->
     [one] Der einzige Platz ist besetzt.
    *[other] Alle { $limit } Plätze sind besetzt.
@@ -196,31 +196,31 @@ other_request = Inzwischen bittet jemand anders um die Bedienung; noch einmal hi
 stale_epoch = Die Bedienung hat inzwischen gewechselt; noch einmal hinsehen.
 reset_first = Zuerst „Nach Stop zurücksetzen“ drücken.
 ask_first = Zuerst um die Bedienung bitten.
-wait_for_control = Sie haben um die Bedienung gebeten: warten Sie, bis sie übergeben wird.
+wait_for_control = Sie haben um die Bedienung gebeten: warten Sie, bis der Bediener sie übergibt.
 busy_moving = Nicht, während sich etwas bewegt.
 busy_pending = Der letzte Befehl ist noch nicht zu Ende.
 frame_unknown = Die Brücke kennt das angeklickte Bild nicht.
-frame_old = Das Bild war { $age_ms } ms alt; höchstens { $limit_ms } ms sind erlaubt. Hinsehen und noch einmal klicken.
+frame_old = Das Bild war { $age_ms } ms alt (Grenze { $limit_ms } ms). Hinsehen und noch einmal klicken.
 panel_not_seen = Die Front ist nicht erkannt.
-recognition_silent = Die Erkennung schweigt seit { $age_s } s; höchstens { $limit_s } s sind erlaubt.
-low_confidence = Die Front ist mit { $confidence } erkannt; mindestens { $limit } ist nötig.
+recognition_silent = Die Erkennung schweigt seit { $age_s } s (Grenze { $limit_s } s).
+low_confidence = Die Sicherheit der Erkennung der Front ist { $confidence } (mindestens { $limit }).
 no_controller = Die Steuerung läuft nicht.
 not_ready = Die Steuerung ist nicht bereit: { $state } { $reason }
 unknown_control = Es gibt kein Element { $control }.
-not_operable = { $control } ist eine Buchse und wird nie berührt.
-point_needs_left = Stellen werden im linken Bild gewählt.
-frame_ahead = Das Bild ist der Uhr der Brücke um { $ahead_ms } ms voraus; höchstens { $limit_ms } ms sind erlaubt. Die Uhren beider Rechner stellen.
+not_operable = { $control } ist eine Buchse; der Stift berührt keine Buchsen.
+point_needs_left = Stellen bitte im linken Bild wählen.
+frame_ahead = Das Bild ist der Uhr der Brücke um { $ahead_ms } ms voraus (Grenze { $limit_ms } ms). Die Uhren beider Rechner stellen.
 off_picture = Die Stelle ({ $u }; { $v }) liegt außerhalb des Bildes von { $width } x { $height } Pixeln.
-press_late = Das wurde vor { $late_ms } ms gedrückt, als die Seite aufgehalten war; höchstens { $limit_ms } ms sind erlaubt. Hinsehen und noch einmal drücken.
+press_late = Sie haben das vor { $late_ms } ms gedrückt, als die Seite beschäftigt war (Grenze { $limit_ms } ms). Hinsehen und noch einmal drücken.
 no_number = Zuerst eine Zahl eingeben.
 number_wanted = Bitte eine Zahl von { $min } bis { $max }.
 off_panel = Diese Stelle ({ $x_mm }; { $y_mm } mm) liegt neben der Front.
-came_late = Das war { $late_ms } ms unterwegs zur Brücke; höchstens { $limit_ms } ms sind erlaubt. Es wird nicht getan.
-before_stop = Danach wurde STOP gedrückt; es wird nicht getan.
+came_late = Das brauchte { $late_ms } ms bis zur Brücke (Grenze { $limit_ms } ms). Die Brücke führt es nicht aus.
+before_stop = Sie haben danach STOP gedrückt; die Brücke führt es nicht aus.
 selection_gone = Noch einmal wählen.
 wrong_gesture = Das geht mit diesem Element nicht.
 panel_moved = Die Front hat sich seit der Wahl um { $moved_mm } mm bewegt (höchstens { $limit_mm } mm). Noch einmal wählen.
-picture_late = Das Bild ist { $age_ms } ms alt; höchstens { $limit_ms } ms sind erlaubt.
+picture_late = Das Bild ist { $age_ms } ms alt (Grenze { $limit_ms } ms).
 link_down = Es gibt keine Verbindung zur Brücke.
 
 notice = Hinweis
@@ -251,7 +251,7 @@ freeze = Festhalten
 compare = Vergleichen
 compare_hint = Das Bild vor dem letzten Befehl mit dem Livebild vergleichen
 snapshot = Speichern
-wipe = Wie viel vom Bild davor gezeigt wird
+wipe = Anteil des Bildes vor der Geste
 before_time = davor · { $time }
 frozen_no_action = Ein festgehaltenes Bild liegt über dem Livebild. Noch einmal Festhalten oder Vergleichen drücken.
 
@@ -279,18 +279,18 @@ plot_position = Position, letzte Minute
 plot_latency = Verzögerung, letzte Minute
 plot_error = Gemessener Fehler, letzte Berührungen
 plot_empty = noch nichts
-console_hint = Was die Programme der Maschine sagen. Von hier kann nichts gesendet werden.
+console_hint = Meldungen der Programme der Maschine. Von hier können Sie nichts senden.
 console_empty = Noch nichts.
 replay = Dies ist eine Aufzeichnung: nur zum Ansehen.
-banner_replay = AUFZEICHNUNG einer Sitzung. Von hier kann nichts bewegt werden.
+banner_replay = AUFZEICHNUNG einer Sitzung. Von hier können Sie nichts bewegen.
 tab_calibrate = Kalibrieren
 guide = Kalibrierung, Schritt für Schritt
 guide_machine = Die Maschine hat ihre Referenz und ist freigegeben
 guide_tip = Beide Kameras sehen die Spitze des Stifts
-guide_run = Die Spitze wird an vielen Stellen angesehen: { $done } von { $all }
-guide_run_idle = Die Spitze wird an vielen Stellen angesehen
+guide_run = Die Kameras messen die Spitze an mehreren Stellen: { $done } von { $all }
+guide_run_idle = Die Kameras messen die Spitze an mehreren Stellen
 guide_result = Das Ergebnis ist gut genug
-guide_coverage = Wo die Spitze angesehen wurde
+guide_coverage = Stellen, an denen die Kameras die Spitze gemessen haben
 guide_numbers = gemessen { $rms } mm rms, geprüft { $held } mm, vorhergesagt { $predicted } mm
 guide_boards = { $boards } · x { $x } · y { $y } · Größe { $size } · Neigung { $skew }
 guide_by_hand = Von Hand
@@ -308,13 +308,13 @@ action_record = Aufzeichnen
 action_end_record = Aufzeichnung beenden
 chip_recording = Aufzeichnung
 chip_simulation = Simulierte Zeit
-simulation_slow = läuft mit { $factor } der Echtzeit: Der Computer ist ausgelastet
+simulation_slow = { $factor } der Echtzeit: Der Computer ist ausgelastet
 recording_by = Aufzeichnung seit { $time }, begonnen von { $who }.
 recording_program = Aufzeichnung seit { $time }, durch das Programm { $who }.
 recording_at_least = Aufzeichnung seit mindestens { $time }, durch das Programm { $who }.
-recording_on = Die Sitzung wird aufgezeichnet.
+recording_on = Die Aufzeichnung der Sitzung läuft.
 recording_one_less = Eine Aufzeichnung ist zu Ende; eine andere läuft weiter.
-recording_off = Es wird nichts mehr aufgezeichnet.
+recording_off = Die Aufzeichnung ist zu Ende.
 driver_facts = Was der Treiber zählt
 log_search = Suchen
 log_export = Ausgeben
@@ -322,15 +322,15 @@ log_found = { $count } von { $all }
 
 stopped_no_picture = während einer Bewegung kam kein Kamerabild (Kamera steht oder Rechner überlastet)
 wrong_password = Name oder Passwort ist falsch.
-wrong_token = Dieses Kennwort gilt nicht. Vielleicht wurde es schon benutzt.
+wrong_token = Dieses Kennwort gilt nicht. Vielleicht ist es schon benutzt.
 wait = Zu viele Fehlversuche. Einige Sekunden warten und noch einmal versuchen.
 sign_in = Anmelden
-stay_mine = Ihre Anmeldung endet binnen { $minutes } min. Dann wird gestoppt, was sich bewegt, Stift oben, und Sie bedienen nicht mehr. Hier neu anmelden unterbricht nichts.
+stay_mine = Ihre Anmeldung endet binnen { $minutes } min. Dann hält die Maschine, der Stift hebt sich, und Sie bedienen nicht mehr. Hier neu anmelden unterbricht nichts.
 stay_watching = Ihre Anmeldung endet binnen { $minutes } min. Melden Sie sich hier neu an, um weiterzumachen.
 stay = Neu anmelden
 stay_done = Sie bleiben angemeldet.
 signed_out = Ihre Anmeldung ist zu Ende.
-sign_in_ended = Ihre Anmeldung ist beendet: ihre Zeit war um, Ihr Zugang wurde geändert, oder die Brücke wurde neu gestartet. Bitte neu anmelden.
+sign_in_ended = Ihre Anmeldung ist beendet: ihre Zeit war um, Ihr Zugang hat sich geändert, oder die Brücke ist neu gestartet. Bitte neu anmelden.
 sign_in_title = Anmelden – Ferninstrument
 sign_in_token = Mit dem Einmalkennwort anmelden, von der Person, die den Roboter gestartet hat. Die Brücke gibt es beim Start aus.
 sign_in_name = Name
@@ -340,7 +340,7 @@ sign_in_no_token = Kein Kennwort, oder schon benutzt? Wer den Roboter betreut, h
 not_at_rest = Die Maschine ruht nicht: { $state } { $reason }
 position_unknown = Es ist nicht bekannt, wo der Stift ist.
 jog_step = Ein Schritt von { $step_mm } mm ist zu weit; höchstens { $limit_mm } mm.
-jog_refused = Dieser Schritt wurde nicht ausgeführt: { $what }. Für einen neuen Versuch den Pfeil noch einmal drücken.
+jog_refused = Kein Schritt: { $what }. Für einen neuen Versuch den Pfeil noch einmal drücken.
 
 kind_line = Linie
 selection_a_line = Linie auf dem Berührbildschirm
@@ -409,7 +409,7 @@ sequence_clear = Leeren
 steps_back = Diese Schritte hat { $who } hier geschrieben ({ $time }); sie sind wieder da. Von selbst startet nichts.
 steps_not_kept = Dieser Browser behält nichts: nach einem Neuladen sind diese Schritte weg.
 sequence_added = Angefügt: { $step }
-collecting = Schritte werden gesammelt (Reiter Ablauf): diese Tasten bewegen nichts.
+collecting = Die Seite sammelt Schritte (Reiter Ablauf): diese Tasten bewegen nichts.
 sequence_start = { $count ->
     [one] { $count } Schritt beginnen
    *[other] { $count } Schritte beginnen
@@ -470,9 +470,9 @@ teach_title = Name für Menschen
 teach_width = Breite der Front mm
 teach_height = Höhe der Front mm
 teach_write = Beschreibung schreiben
-teach_working = Gesendet; der Aufdruck wird gesucht …
+teach_working = Gesendet; die Erkennung sucht den Aufdruck …
 teach_done = Geschrieben: { $layout } und { $template }. Start mit diesem Befehl:
-teach_refused = Nichts wurde geschrieben: { $reason }
+teach_refused = Nichts geschrieben: { $reason }
 teach_no_picture = Dieses Bild ist nicht mehr festgehalten. Noch einmal festhalten.
 teach_name = { $field }: „{ $found }“ geht nicht; nötig sind Buchstaben von a bis z, Ziffern und _, wie in { $example }.
 teach_kind = „{ $found }“ ist keines von { $known }.
@@ -491,21 +491,21 @@ action_teach = Anlernen
 
 ## alignment
 
-alignment-cameras_not_compared_limit_both = die Kameras sind seit { $age_s } s nicht verglichen worden, erlaubt sind { $limit_s } s: sehen beide die Front?
+alignment-cameras_not_compared_limit_both = der letzte Vergleich der Kameras ist { $age_s } s alt (Grenze { $limit_s } s): sehen beide die Front?
 alignment-degrees = { $turn_deg } Grad ({ $turn_px } px)
-alignment-right_above_layout_limit_correct = { $control } ist { $x_mm } mm rechts und { $y_mm } mm über seiner Stelle in der Beschreibung, erlaubt sind { $limit_mm } mm: die Beschreibung berichtigen
-alignment-right_camera_moved_limit_degrees = die rechte Kamera hat sich um { $turn } gedreht, erlaubt sind { $limit_deg } Grad: neu kalibrieren
+alignment-right_above_layout_limit_correct = { $control } ist { $x_mm } mm rechts und { $y_mm } mm über seiner Stelle in der Beschreibung (Grenze { $limit_mm } mm): die Beschreibung berichtigen
+alignment-right_camera_moved_limit_degrees = die rechte Kamera hat sich um { $turn } gedreht (Grenze { $limit_deg } Grad): neu kalibrieren
 alignment-right_camera_moving_calibration_not = die rechte Kamera bewegt sich: { $turn } seit ihrer Kalibrierung, noch nicht in Ruhe
-alignment-touch_known_limit = die Berührung ist auf { $uncertainty_mm } mm bekannt, erlaubt sind { $limit_mm } mm
+alignment-touch_known_limit = die Berührung ist auf { $uncertainty_mm } mm bekannt (Grenze { $limit_mm } mm)
 
 ## axes
 
-axes-axes_miss_right_angle_degrees = die Achsen verfehlen den rechten Winkel um { FIXED($degrees_deg, digits: 1) } Grad, glaubhaft sind { FIXED($degrees, digits: 1) }
-axes-axis_moves_per_metre_reading = die Achse { $name } fährt { FIXED($scale_m, digits: 3) } m je Meter Ablesung, glaubhaft sind { FIXED($max_scale_error, digits: 2) } bis { FIXED($max_scale_error_2, digits: 2) }: Schritte je mm und die Kamerakalibrierung prüfen
-axes-not_go_they_should_one = x und y fahren nicht, wie sie sollen: eine Achse läuft rückwärts, oder beide sind vertauscht: jede etwas fahren und ansehen, welche es ist, bevor Motoren oder Einstellungen geändert werden
-axes-stylus_leans_degrees_plausible_add = der Stift steht um { FIXED($degrees_deg, digits: 1) } Grad schief, glaubhaft sind { FIXED($degrees, digits: 1) }: Messungen mit mehr und weniger Stift aufnehmen
-axes-stylus_moves_towards_panel_per = der Stift fährt { FIXED($depth_m, digits: 3) } m auf die Tafel zu je Meter Ablesung, glaubhaft sind { FIXED($max_scale_error, digits: 2) } bis { FIXED($max_scale_error_2, digits: 2) }: Schritte je mm prüfen, oder Messungen mit mehr und weniger Stift aufnehmen
-axes-stylus_not_go_they_should = Stift, x und y fahren nicht, wie sie sollen: x oder y läuft rückwärts, oder beide sind vertauscht, oder der Stift geht auf, wo er ab gehen soll: jede Achse etwas fahren und ansehen, welche es ist, bevor Motoren oder Einstellungen geändert werden
+axes-axes_miss_right_angle_degrees = die Achsen verfehlen den rechten Winkel um { FIXED($degrees_deg, digits: 1) } Grad (Grenze { FIXED($degrees, digits: 1) })
+axes-axis_moves_per_metre_reading = die Achse { $name } fährt { FIXED($scale_m, digits: 3) } m je Meter Ablesung (Grenzen { FIXED($max_scale_error, digits: 2) } bis { FIXED($max_scale_error_2, digits: 2) }): Schritte je mm und die Kamerakalibrierung prüfen
+axes-not_go_they_should_one = x und y fahren falsch: eine Achse läuft rückwärts, oder beide sind vertauscht. Jede etwas fahren und ansehen, welche es ist, bevor Sie Motoren oder Einstellungen ändern
+axes-stylus_leans_degrees_plausible_add = der Stift ist um { FIXED($degrees_deg, digits: 1) } Grad geneigt (Grenze { FIXED($degrees, digits: 1) }): Messungen mit mehr und weniger Stift aufnehmen
+axes-stylus_moves_towards_panel_per = der Stift fährt { FIXED($depth_m, digits: 3) } m auf die Front zu je Meter Ablesung (Grenzen { FIXED($max_scale_error, digits: 2) } bis { FIXED($max_scale_error_2, digits: 2) }): Schritte je mm prüfen, oder Messungen mit mehr und weniger Stift aufnehmen
+axes-stylus_not_go_they_should = Stift, x und y fahren falsch: x oder y läuft rückwärts, beide sind vertauscht, oder der Stift hebt sich, statt zu sinken. Jede Achse etwas fahren und ansehen, welche es ist, bevor Sie Motoren oder Einstellungen ändern
 
 ## board
 
@@ -527,8 +527,8 @@ bridge-no_driver_listens = kein Treiber hört zu
 bridge-no_recognition_listens_could_taught = keine Erkennung hört zu, die eine Front lernen könnte
 bridge-no_report_late = seit { FIXED($silent_s, digits: 0) } s keine Meldung, verspätet: { $names }
 bridge-no_sequencer_listens = kein Ablaufgeber hört zu
-bridge-record_could_not_written = der Eintrag konnte nicht geschrieben werden: { $error }
-bridge-reset_void = nicht zurückgesetzt, die Maschine ist jetzt in einem anderen Zustand: { $state }
+bridge-record_could_not_written = die Brücke kann den Eintrag nicht schreiben: { $error }
+bridge-reset_void = kein Zurücksetzen, die Maschine ist jetzt in einem anderen Zustand: { $state }
 bridge-reset_waits = wartet, bis der Stop zu Ende und der Stift oben ist
 bridge-service_not = der Dienst { $services } ist nicht da
 bridge-stop_by_person = Stop: stopped_by_person, gedrückt von { $who }
@@ -548,34 +548,34 @@ calibration-base_reading_cannot_inverted = base_from_reading { $axes } ist nicht
 calibration-below_0 = { $key } = { $document } liegt unter 0
 calibration-calibrating_watch_state = kalibriert; auf den Zustand achten
 calibration-calibration_already_running = eine Kalibrierung läuft schon
-calibration-calibration_could_not_saved = die Kalibrierung konnte nicht gesichert werden: { $error }
+calibration-calibration_could_not_saved = die Kalibrierung lässt sich nicht sichern: { $error }
 calibration-calibration_file_not_set = calibration_file ist nicht gesetzt
 calibration-calibration_running = eine Kalibrierung läuft
-calibration-calibration_use_refused = die benutzte Kalibrierung wird abgelehnt: { $why }
+calibration-calibration_use_refused = die benutzte Kalibrierung passt nicht: { $why }
 calibration-camera_calibration_changed_meanwhile = die Kalibrierung der { WORD($side) } Kamera hat sich inzwischen geändert
 calibration-camera_calibration_changed_since_made = die Kalibrierung der { $name } Kamera ist seitdem um { FIXED($change_px, digits: 2) } px anders
 calibration-camera_info = camera_info: { $error }
 calibration-camera_pictures_no_calibration = die Bilder der { WORD($side) } Kamera von { $width } x { $height_px } px haben keine Kalibrierung
 calibration-cameras_carriage = , Kameras auf dem Wagen
-calibration-driver_says = der Treiber sagt { $text }
-calibration-driver_says_connected_homed_idle = der Treiber sagt { $driver }: er muss verbunden sein, seine Referenz haben und ruhen
+calibration-driver_says = der Treiber meldet { $text }
+calibration-driver_says_connected_homed_idle = der Treiber meldet { $driver }: er muss verbunden sein, seine Referenz haben und ruhen
 calibration-finite_numbers_shape_needed = { $key } = { $given }: nötig sind endliche Zahlen der Form { WORD($shape) }
 calibration-finite_point_needed = { $point } in { $frame }: nötig ist ein endlicher Punkt in { $panel }
 calibration-format_needed = nötig ist Format { $format }
-calibration-gantry_moved_but_seen_only = die Maschine fuhr { FIXED($along_mm, digits: 0) } mm, aber { WORD($what) }, wie sie zu sehen war, nur { FIXED($seen_mm, digits: 1) } mm: verfolgt wird etwas anderes, die Kamera ist anders befestigt, oder der Antrieb rutscht; vor der nächsten Fahrt das Bild ansehen
-calibration-goal = das Ziel { WORD($where) } wurde { WORD($outcome) }: { $reason }
-calibration-goal_not_within = das Ziel wurde innerhalb von { SHORT($waited_s) } s nicht { WORD($value) }
-calibration-hand_eye_node_stopped = das Kalibrierprogramm wurde beendet
+calibration-gantry_moved_but_seen_only = die Maschine fuhr { FIXED($along_mm, digits: 0) } mm, aber { WORD($what) }, wie sie zu sehen war, nur { FIXED($seen_mm, digits: 1) } mm: die Kameras verfolgen etwas anderes, die Kamera ist anders befestigt, oder der Antrieb rutscht. Vor der nächsten Fahrt das Bild ansehen
+calibration-goal = das Ziel { WORD($where) } ist { WORD($outcome) }: { $reason }
+calibration-goal_not_within = das Ziel ist innerhalb von { SHORT($waited_s) } s nicht { WORD($value) }
+calibration-hand_eye_node_stopped = das Kalibrierprogramm ist beendet
 calibration-hardly_leave_one_line = verlassen kaum eine Linie
 calibration-held_out = , geprüft { FIXED($held_out_mm, digits: 2) } mm
-calibration-held_out_place_off_accepted = an einer Prüfstelle lag die { WORD($what) } { FIXED($max_mm, digits: 2) } mm daneben, { FIXED($max_held_out_mm, digits: 2) } mm sind erlaubt
+calibration-held_out_place_off_accepted = an einer Prüfstelle lag die { WORD($what) } { FIXED($max_mm, digits: 2) } mm daneben (Grenze { FIXED($max_held_out_mm, digits: 2) } mm)
 calibration-lie_one_line = liegen auf einer Linie
-calibration-lowered_stylus_could_touch_panel = um { FIXED($least_mm, digits: 1) } mm gesenkt, könnte der Stift die Tafel berühren, über der seine Spitze { FIXED($height_mm, digits: 1) } mm ist (das höchste Bedienelement und die Kugel nehmen davon { FIXED($proud_m, digits: 1) }): das Gerät { FIXED($least_2_mm, digits: 1) } mm weiter weg stellen, oder run.heights_m und held_out_height_m weniger tief
+calibration-lowered_stylus_could_touch_panel = um { FIXED($least_mm, digits: 1) } mm gesenkt, könnte der Stift die Front berühren. Seine Spitze ist { FIXED($height_mm, digits: 1) } mm über ihr (das höchste Bedienelement und die Kugel nehmen davon { FIXED($proud_m, digits: 1) }). Das Gerät { FIXED($least_2_mm, digits: 1) } mm weiter weg stellen, oder run.heights_m und held_out_height_m verkleinern
 calibration-lowered_tip_moved_check_stylus = um { FIXED($way_mm, digits: 1) } mm gesenkt, hat sich die Spitze um { FIXED($seen_mm, digits: 1) } mm bewegt: Schritte je mm des Stifts ($102) prüfen, ob er klemmt, und die Kamerakalibrierung
 calibration-machine_settings_changed_since_made = die Einstellungen der Maschine sind seitdem andere: { $texts }
 calibration-made_cameras_mounted_now = die Kameras waren dabei { $mounting } befestigt, jetzt { $mounting_2 }
 calibration-made_machine_one = sie gilt für die Maschine { $machine }, diese ist { $machine_2 }
-calibration-made_picture_now = sie wurde mit einem { $name } Bild von { $width } x { $height_px } px gemacht, jetzt hat es { $width_2 } x { $height_2_px } px
+calibration-made_picture_now = sie ist für ein { $name } Bild von { $width } x { $height_px } px, jetzt hat es { $width_2 } x { $height_2_px } px
 calibration-mapping_needed = { $key } = { $part }: nötig ist eine Zuordnung
 calibration-missed = { $missed } ausgelassen
 calibration-missing = { $key }: { $error } fehlt
@@ -583,11 +583,11 @@ calibration-mounting_fixed_carriage_needed = Befestigung { $mounting }: nötig i
 calibration-no_calibration_save = es gibt keine Kalibrierung zu sichern
 calibration-no_camera_info_camera_arrived = von der { WORD($side) } Kamera kam keine camera_info
 calibration-no_image_resting_machine_arrived = seit { FIXED($waited_s, digits: 1) } s kam kein Bild der ruhenden Maschine
-calibration-no_image_resting_machine_evaluated = seit { FIXED($waited_s, digits: 1) } s wurde kein Bild der ruhenden Maschine ausgewertet
+calibration-no_image_resting_machine_evaluated = seit { FIXED($waited_s, digits: 1) } s ist kein Bild der ruhenden Maschine ausgewertet
 calibration-not_hand_eye_calibration = { $path }: keine Hand-Auge-Kalibrierung: { $error }
 calibration-now = { $k } war { $old_values }, jetzt { $new_values }
 calibration-only_held_out_places_gave = nur { $checks } Prüfstellen gaben eine Messung, für die Prüfung sind 2 nötig
-calibration-panel_seen_times_while_machine = die Front wurde im Stillstand { $poses }- von { $panels }-mal gesehen
+calibration-panel_seen_times_while_machine = die Kameras sahen die Front im Stillstand { $poses }- von { $panels }-mal
 calibration-places_gave_no_sample_last = { $missed } von { $places } Stellen gaben keine Messung; zuletzt: { $why }
 calibration-readings_not_differ_gantry_did = die Ablesungen unterscheiden sich nicht ({ FIXED($along_mm, digits: 2) } mm): die Maschine hat sich nicht bewegt; in x und y mindestens { FIXED($need_mm, digits: 0) } mm fahren
 calibration-repetition = { $late }; Wiederholung { $step } von { $retries }
@@ -595,18 +595,18 @@ calibration-run_places_not_tell_calibration = die Orte des Laufs ergeben keine K
 calibration-sample_not_finite = eine Messung ist nicht endlich
 calibration-sample_readings_stylus = Messung { $count } bei x = { FIXED($x, digits: 1) }, y = { FIXED($y, digits: 1) }, Stift = { FIXED($stylus_mm, digits: 1) } mm
 calibration-samples_long_across_add_one = die Messungen { WORD($kind) } ({ FIXED($along_mm, digits: 0) } mm lang, { FIXED($across_mm, digits: 1) } mm breit): eine bei x = { FIXED($x, digits: 0) }, y = { FIXED($y_mm, digits: 0) } mm aufnehmen oder mindestens { FIXED($need_mm, digits: 0) } mm neben dieser Linie
-calibration-samples_miss_one_another_rms = die Messungen verfehlen einander um { FIXED($rms_mm, digits: 2) } mm rms, { FIXED($max_rms_mm, digits: 2) } mm sind erlaubt: prüfen, ob die Spitze gut zu sehen ist und nichts rutscht
+calibration-samples_miss_one_another_rms = die Messungen verfehlen einander um { FIXED($rms_mm, digits: 2) } mm rms (Grenze { FIXED($max_rms_mm, digits: 2) } mm): prüfen, ob die Spitze gut zu sehen ist und nichts rutscht
 calibration-samples_needed_move_another_place = { $samples } Messungen, nötig sind { $min_samples }: an eine andere Stelle fahren und aufnehmen
 calibration-samples_not_fit_rest_numbers = { $left_out } von { $used } Messungen passen nicht zu den übrigen (Nummern { $numbers }): die Kameras haben die Spitze dort falsch gemessen, oder der Antrieb ist gerutscht; an anderen Stellen messen oder neu beginnen
 calibration-samples_rms_predicted = { $samples } Stellen{ WORD($where) }, rms { FIXED($rms_mm, digits: 3) } mm{ $held }, vorhergesagt { FIXED($sigma_mm, digits: 3) } mm, { $made_at }
 calibration-samples_too_close_together_move = die Messungen liegen zu dicht beieinander ({ FIXED($along_mm, digits: 1) } mm): in x und y mindestens { FIXED($need_mm, digits: 0) } mm fahren
 calibration-saved = gesichert in { $path }
 calibration-seen_too_late = es war zu spät zu sehen
-calibration-stored_calibration_refused = die gespeicherte Kalibrierung wird abgelehnt: { $error }
+calibration-stored_calibration_refused = die gespeicherte Kalibrierung passt nicht: { $error }
 calibration-stylus_extension_changes_together_own = der Stift ändert sich mit x und y (eigener Teil { FIXED($ptp_mm, digits: 2) } mm): am selben x und y eine Messung mit { FIXED($min_stylus_span_mm, digits: 0) } mm mehr oder weniger Stift aufnehmen
 calibration-tip = die Spitze
-calibration-tip_nowhere_seen_both_cameras = die Spitze war nirgends für beide Kameras zu sehen: sind links und rechts vertauscht, steht eine auf dem Kopf oder ist unscharf, oder ist es eine andere Kugel? Die Diagnose des Stiftverfolgers sagt mehr
-calibration-tip_seen_times_while_machine = die Spitze wurde im Stillstand { $tips }- von { $tips_2 }-mal gesehen
+calibration-tip_nowhere_seen_both_cameras = nie sahen beide Kameras zugleich die Spitze. Sind links und rechts vertauscht, ist eine verkehrt herum oder unscharf, oder ist es eine andere Kugel? Einzelheiten nennt die Diagnose des Stiftverfolgers
+calibration-tip_seen_times_while_machine = die Kameras sahen die Spitze im Stillstand { $tips }- von { $tips_2 }-mal
 calibration-translation_most_possible = translation_m = { $shift }: möglich sind höchstens { SHORT($farthest_m) } m
 calibration-waiting_camera_info_check_calibration = wartet auf camera_info, um die Kalibrierdatei zu prüfen
 calibration-whole_number_0_needed = { $key } = { WORD($value) }: nötig ist eine ganze Zahl ab 0
@@ -615,10 +615,10 @@ calibration-z = x = { FIXED($x, digits: 0) }, y = { FIXED($y, digits: 0) }, z = 
 ## carriage
 
 carriage-contacts_1_needed = { $contacts } Kontakte, nötig sind 1 bis { $max_contacts }
-carriage-contacts_miss_one_another_rms = die Kontakte verfehlen einander um { FIXED($rms_mm, digits: 2) } mm rms, { FIXED($contact_sigma_mm, digits: 2) } mm sind erlaubt: prüfen, welche Stellen berührt wurden
-carriage-contacts_most_used_start_anew = { $contacts } Kontakte, höchstens { $max_contacts } werden benutzt: neu beginnen
-carriage-nothing_tells_where_stylus_let = nichts sagt, wo der Stift ist: die Kameras seine Spitze sehen lassen, oder ein bis fünf bekannte Stellen berühren
-carriage-only_points_panel_measured_needed = bei x = { FIXED($reading, digits: 0) }, y = { FIXED($reading_mm, digits: 0) } mm wurden nur { $pixels } Punkte der Front gemessen, nötig sind { $min_points }
+carriage-contacts_miss_one_another_rms = die Kontakte verfehlen einander um { FIXED($rms_mm, digits: 2) } mm rms (Grenze { FIXED($contact_sigma_mm, digits: 2) } mm): prüfen, welche Stellen der Stift berührt hat
+carriage-contacts_most_used_start_anew = { $contacts } Kontakte (Grenze { $max_contacts }): neu beginnen
+carriage-nothing_tells_where_stylus_let = die Position des Stifts ist unbekannt: seine Spitze ins Bild der Kameras fahren, oder ein bis fünf bekannte Stellen berühren
+carriage-only_points_panel_measured_needed = die Kameras haben bei x = { FIXED($reading, digits: 0) }, y = { FIXED($reading_mm, digits: 0) } mm nur { $pixels } Punkte der Front gemessen (mindestens { $min_points })
 carriage-panel = die Front
 
 ## computer
@@ -630,16 +630,16 @@ computer-robot_uses_other_programs = der Roboter nutzt { FIXED($robot_percent, d
 ## contact
 
 contact-calibrate_again = { $cause }: neu kalibrieren
-contact-not_known_whether_anything_touched = ob etwas berührt wurde, ist nicht bekannt: die Kugel wurde im Kontakt nicht gemessen
-contact-not_known_whether_anything_touched_2 = ob etwas berührt wurde, ist nicht bekannt: { FIXED($beyond_mm, digits: 1) } mm unter der Fläche wurde die Kugel um { FIXED($lag_mm, digits: 2) } mm zurückgehalten
-contact-nothing_touched_down_beyond_surface = bis { FIXED($beyond_mm, digits: 1) } mm unter der Fläche wurde nichts berührt
-contact-nothing_touched_driver_allows_ends = nichts wurde berührt: was der Treiber erlaubt, endet { FIXED($beyond_mm, digits: 1) } mm über der Oberfläche
-contact-nothing_touched_late_images = mit verspäteten Bildern wird nichts berührt: { $delays }
+contact-not_known_whether_anything_touched = ob der Stift etwas berührt hat, ist nicht bekannt: die Kameras haben die Kugel im Kontakt nicht gemessen
+contact-not_known_whether_anything_touched_2 = ob der Stift etwas berührt hat, ist nicht bekannt: { FIXED($beyond_mm, digits: 1) } mm unter der Fläche blieb die Kugel um { FIXED($lag_mm, digits: 2) } mm zurück
+contact-nothing_touched_down_beyond_surface = bis { FIXED($beyond_mm, digits: 1) } mm unter der Fläche hat der Stift nichts berührt
+contact-nothing_touched_driver_allows_ends = der Stift hat nichts berührt: die Grenze des Treibers liegt { FIXED($beyond_mm, digits: 1) } mm über der Oberfläche
+contact-nothing_touched_late_images = keine Berührung mit verspäteten Bildern: { $delays }
 contact-panel_higher_measured = die Front liegt { FIXED($off_mm, digits: 1) } mm höher als gemessen
 contact-panel_lower_measured = die Front liegt { FIXED($off_mm, digits: 1) } mm tiefer als gemessen
 contact-stylus_higher_readings_say = der Stift ist { FIXED($off_mm, digits: 1) } mm höher, als seine Anzeigen sagen
 contact-stylus_lower_readings_say = der Stift ist { FIXED($off_mm, digits: 1) } mm tiefer, als seine Anzeigen sagen
-contact-stylus_off_height_readings_say = der Stift weicht um { FIXED($off_mm, digits: 1, sign: 1) } mm von der Höhe ab, die seine Anzeigen sagen (erlaubt { SHORT($limit_mm) } mm)
+contact-stylus_off_height_readings_say = der Stift weicht um { FIXED($off_mm, digits: 1, sign: 1) } mm von der Höhe seiner Anzeigen ab (Grenze { SHORT($limit_mm) } mm)
 stylus-is_up = { $cause }; der Stift ist oben
 
 ## controller
@@ -649,13 +649,13 @@ controller-busy = beschäftigt mit { $job }
 controller-child_frame_needed = untergeordnetes System { $child_frame_id }, nötig ist { $base }
 controller-clock_jumped_back = die Uhr sprang um { FIXED($jumped_back_s, digits: 1) } s zurück
 controller-controller_ended = die Steuerung ist beendet
-controller-controller_shutting_down = die Steuerung wird beendet
+controller-controller_shutting_down = die Steuerung endet
 controller-driver_motion = der Treiber hat die Bewegung { WORD($outcome) }: { $reason }
 controller-error_controller = Fehler in der Steuerung: { $error }
 controller-machine_told_stop = { $cause }; die Maschine soll anhalten
 controller-no_reason_given = ohne Grund
-controller-readings_most_home_believed = Ablesungen { $readings_m } m: höchstens { SHORT($farthest_m) } m vom Nullpunkt werden geglaubt
-controller-stale_controller_held_up_allowed = veraltet: die Steuerung war { FIXED($held_s, digits: 1) } s lang aufgehalten, { SHORT($click_max_age_s) } s sind erlaubt
+controller-readings_most_home_believed = Ablesungen { $readings_m } m (Grenze { SHORT($farthest_m) } m vom Nullpunkt)
+controller-stale_controller_held_up_allowed = veraltet: die Steuerung war { FIXED($held_s, digits: 1) } s lang aufgehalten (Grenze { SHORT($click_max_age_s) } s)
 
 ## drift
 
@@ -674,8 +674,8 @@ driver-disabled = gesperrt
 driver-enabled = freigegeben
 driver-accepted_homing = angenommen: Referenzfahrt
 driver-accepted_reset = angenommen: zurückgesetzt
-driver-accepted_writing_configured_settings_they = angenommen: die Einstellungen der Konfiguration werden geschrieben und zurückgelesen
-driver-driver_ending = der Treiber wird beendet
+driver-accepted_writing_configured_settings_they = angenommen: der Treiber schreibt die Einstellungen der Konfiguration und liest sie zurück
+driver-driver_ending = der Treiber endet
 driver-not_opened_yet = noch nicht geöffnet
 driver-refused = verweigert: { $refusal }
 driver-stop_requested = Stop verlangt
@@ -694,17 +694,17 @@ effect-screen_changed = Bildschirm geändert
 
 ## face
 
-face-both_cameras_together_see_panel = beide Kameras zusammen sehen die Front { FIXED($height_mm, digits: 1) } mm { WORD($side) }, als ihr Aufdruck sagt, { SHORT($bound_mm) } mm sind erlaubt: die Front nachmessen (size_mm ihrer Beschreibung), und die Kameras als Paar neu kalibrieren, wenn eine verdreht sein kann
-face-face_too_little_print_recognised = die Front von { $model } hat zu wenig Aufdruck, um erkannt zu werden
+face-both_cameras_together_see_panel = beide Kameras zusammen sehen die Front { FIXED($height_mm, digits: 1) } mm { WORD($side) } als ihren Aufdruck (Grenze { SHORT($bound_mm) } mm): die Front nachmessen (size_mm ihrer Beschreibung). Ist eine Kamera vielleicht verdreht, das Paar neu kalibrieren
+face-face_too_little_print_recognised = die Front von { $model } hat zu wenig Aufdruck für die Erkennung
 face-further_away = weiter weg
 
 ## gesture
 
 gesture-angle_degrees_not_zero_most = einen Winkel in Grad, nicht null, höchstens 360 in jede Richtung
-gesture-command_characters_most_allowed = der Befehl hat { $text } Zeichen, höchstens { $max_length } sind erlaubt
+gesture-command_characters_most_allowed = der Befehl hat { $text } Zeichen (Grenze { $max_length })
 gesture-drag_needs_found = drag braucht { $drag }, gefunden: { $text }
-gesture-expected_gesture_target_gesture_target = { $body }: erwartet wird Geste:Ziel oder Geste:Ziel:Argument
-gesture-expected_id_up_64_letters = { $tail }: erwartet wird id= und bis zu 64 Buchstaben, Ziffern, '.', '-' oder '_'
+gesture-expected_gesture_target_gesture_target = { $body }: erwartet Geste:Ziel oder Geste:Ziel:Argument
+gesture-expected_id_up_64_letters = { $tail }: erwartet id= und bis zu 64 Buchstaben, Ziffern, '.', '-' oder '_'
 gesture-gesture_none = Geste { WORD($kind) } ist keine von { $gestures }
 gesture-marked_position_name_degrees_180 = den Namen einer Marke oder Grad von -180 bis 180
 gesture-needs_found = { WORD($kind) } braucht { $needs }, gefunden: { $parts }
@@ -724,11 +724,11 @@ goal-goal = Ziel
 goal-cameras_beside = Kameras daneben
 goal-corrected_aim = korrigiertes Ziel: { $error }
 goal-degrees = { $knob } bei { FIXED($angle_deg, digits: 1, sign: 1) } Grad
-goal-driver_reports_end_motion_beside = der Treiber meldet das Ende der Bewegung { FIXED($off_mm, digits: 2) } mm daneben, { SHORT($arrival_tolerance_mm) } mm sind erlaubt
+goal-driver_reports_end_motion_beside = die Bewegung endete { FIXED($off_mm, digits: 2) } mm neben dem Ziel (Grenze { SHORT($arrival_tolerance_mm) } mm)
 goal-frame_none = Koordinatensystem { $frame } ist keines von { $frames }
 goal-goal_waits = das Ziel wartet darauf
-goal-image_controls_recognition_evaluated = Bild, in dem die Bedienelemente gelesen wurden
-goal-image_stylus_tracker_evaluated = Bild, in dem der Stift gesucht wurde
+goal-image_controls_recognition_evaluated = Bild, das die Erkennung ausgewertet hat
+goal-image_stylus_tracker_evaluated = Bild, das der Stiftverfolger ausgewertet hat
 goal-late_limit = verspätet: { WORD($what) }, { FIXED($measured_s, digits: 2) } s (höchstens { SHORT($limit_s) } s)
 goal-looking_effect = schaut nach der Wirkung
 goal-looking_tip = schaut auf die Spitze
@@ -744,39 +744,39 @@ goal-moving_up = fährt hoch
 goal-moving_up_after_fault = fährt nach einem Fehler hoch
 goal-needs_knob_name_found = { WORD($kind) } braucht den Namen eines Drehknopfs, gefunden: { $gesture }
 goal-next_turn_stylus_up = die nächste Drehung: { $error }; der Stift ist oben
-goal-no_more_motion_ordered = { $cause }; keine weitere Bewegung wurde befohlen
+goal-no_more_motion_ordered = { $cause }; keine weitere Bewegung
 goal-no_result_motion_driver = seit { FIXED($wait_s, digits: 1) } s kein Ergebnis der Bewegung vom Treiber
 goal-not_picture = { $control } ist nicht im Bild
 goal-not_seen_nothing_read_panel = nicht gesehen: seit der Berührung war { FIXED($for_s, digits: 1) } s lang von der Front nichts zu lesen
-goal-nothing_moved = { $error }; nichts wurde bewegt
-goal-nothing_seen_most_allowed_try = von { $name } ist { $since } nichts zu sehen, höchstens { SHORT($limit_s) } s sind erlaubt: noch einmal versuchen, oder ist der Rechner überlastet?
+goal-nothing_moved = { $error }; nichts hat sich bewegt
+goal-nothing_seen_most_allowed_try = die Erkennung hat { $name } { $since } nicht gesehen (Grenze { SHORT($limit_s) } s): noch einmal versuchen, oder ist der Rechner überlastet?
 goal-nothing_seen_panel_state_effect = vom Zustand der Front ist nichts zu sehen: die Wirkung von { WORD($kind) } muss es sein (require_effect)
 goal-point_not_finite = Punkt ({ $xyz }) ist nicht endlich
 goal-press = drücken ({ SHORT($x) }; { SHORT($y) }) { WORD($unit) } in { $frame }
-goal-sent_again_try = sie wird noch einmal gesendet, Versuch { $sent } von { $slow_tries }
+goal-sent_again_try = die Steuerung sendet sie noch einmal, Versuch { $sent } von { $slow_tries }
 goal-something_hand_still_hides_after = etwas (eine Hand?) verdeckt { $control } noch nach { SHORT($hidden_wait_s) } s
-goal-stale_stamp_old_allowed = veraltet: der Stempel ist { FIXED($age_s, digits: 3) } s alt, { SHORT($goal_max_age_s) } s sind erlaubt
+goal-stale_stamp_old_allowed = veraltet: der Stempel ist { FIXED($age_s, digits: 3) } s alt (Grenze { SHORT($goal_max_age_s) } s)
 goal-stamp_future_clocks_agree = { $reason }; der Stempel ist aus der Zukunft: stimmen die Uhren überein?
-goal-stands_degrees_off_after_turns = { $knob } steht nach { $turns } Drehungen { FIXED($off_deg, digits: 1) } Grad daneben, { SHORT($allowed) } sind erlaubt; der Stift ist oben
-goal-stylus_gone_down_look_panel = der Stift war schon unten: erst auf die Front sehen, dann noch einmal versuchen; { $reason }
-goal-stylus_may_bent_another_one = { $cause }; der Stift kann verbogen oder ein anderer sein; nichts wurde bewegt
+goal-stands_degrees_off_after_turns = { $knob } steht nach { $turns } Drehungen { FIXED($off_deg, digits: 1) } Grad daneben (Grenze { SHORT($allowed) }); der Stift ist oben
+goal-stylus_gone_down_look_panel = der Stift hat schon berührt: vor einem neuen Versuch die Front ansehen; { $reason }
+goal-stylus_may_bent_another_one = { $cause }; der Stift kann verbogen oder ein anderer sein; nichts hat sich bewegt
 goal-then = { $cause }; dann { $more }
-goal-tip_measured_beside_target_could = die Spitze wurde neben dem Ziel gemessen, da sie davor nicht zu sehen war
-goal-touched_but_effect_stylus_up = berührt, aber die Wirkung wurde { $unread }; der Stift ist oben
+goal-tip_measured_beside_target_could = die Kameras haben die Spitze neben dem Ziel gemessen, weil sie über dem Ziel verdeckt war
+goal-touched_but_effect_stylus_up = berührt, aber die Wirkung war { $unread }; der Stift ist oben
 goal-touched_but_no_effect_seen = berührt, aber innerhalb von { SHORT($wait_s) } s war keine Wirkung zu sehen; der Stift ist oben
 goal-touched_but_not_confirmed_stylus = berührt, aber nicht bestätigt: { $finding }; der Stift ist oben
-goal-touched_but_not_measured_no = berührt, aber nicht gemessen: { $since } wurde kein Bild des Stifts ausgewertet
+goal-touched_but_not_measured_no = berührt, aber nicht gemessen: { $since } hat der Stiftverfolger kein Bild ausgewertet
 goal-touching_down = setzt auf
 goal-touching_looking_contact = berührt: schaut auf den Kontakt
 goal-touching_turning = berührt: dreht
 goal-waiting_free_view = wartet auf freie Sicht
 goal-waiting_panel_seen = wartet, bis die Front zu sehen ist
 goal-waiting_pictures_contact = wartet auf die Bilder der Berührung
-goal-waiting_up = gewartet wird bis zu { SHORT($limit_s) } s
-goal-z_above_0_where_stylus = z = { SHORT($xyz_m) } m liegt über 0, wo der Stift eingezogen ist
+goal-waiting_up = warten bis zu { SHORT($limit_s) } s
+goal-z_above_0_where_stylus = z = { SHORT($xyz_m) } m (Grenze 0, der eingezogene Stift)
 goal-z_must_0_surface_found = z = { SHORT($z) } in { $frame } muss 0 sein: die Fläche folgt aus der Front
 goal-z_stylus_can_only_up = z = { SHORT($xyz_m) } m: dieser Stift kann nur oben sein, 0, oder berühren
-goal-z_touch_panel_lowest_use = z = { FIXED($goal_m, digits: 4) } m würde dort die Front berühren, { FIXED($lowest_m, digits: 4) } m ist das Tiefste; zum Berühren drücken
+goal-z_touch_panel_lowest_use = z = { FIXED($goal_m, digits: 4) } m würde dort die Front berühren (Grenze { FIXED($lowest_m, digits: 4) } m); zum Berühren press benutzen
 
 ## grbl
 
@@ -803,7 +803,7 @@ grbl-hard_stop = harter Halt
 grbl-homing_door_opened = Referenzfahrt: Tür geöffnet
 grbl-homing_no_switch_found = Referenzfahrt: keinen Schalter gefunden
 grbl-homing_not_enabled = Referenzfahrt ist nicht eingeschaltet ($22)
-grbl-homing_pull_off_did_not = Referenzfahrt: der Schalter wurde nicht frei
+grbl-homing_pull_off_did_not = Referenzfahrt: der Schalter blieb beim Freifahren gedrückt
 grbl-homing_reset_during_cycle = Referenzfahrt: dabei zurückgesetzt
 grbl-homing_switch_not_clear = Referenzfahrt: unklar, welcher Schalter
 grbl-integer_expected = ganze Zahl erwartet
@@ -812,7 +812,7 @@ grbl-laser_mode_needs_pwm = Laserbetrieb braucht PWM
 grbl-letter_expected = Buchstabe erwartet
 grbl-limit_switch_engaged = ein Endschalter ist gedrückt
 grbl-limit_switch_engaged_only_homing = ein Endschalter ist gedrückt, nur die Referenzfahrt ist erlaubt
-grbl-line_length = Zeile { $text } hat mit dem Zeilenende { $size } Byte, 2 bis { $limit } können gesendet werden
+grbl-line_length = Zeile { $text } hat mit dem Zeilenende { $size } Byte (Grenzen 2 bis { $limit })
 grbl-line_column_cannot_part_line = Zeile { $text }, Spalte { $column }: { $char } kann nicht Teil einer Zeile sein
 grbl-line_number_out_range = Zeilennummer außerhalb des Bereichs
 grbl-line_too_long = Zeile zu lang
@@ -858,8 +858,8 @@ guard-frame_not_json = die Nachricht ist kein JSON: { $error }
 guard-frame_not_json_object = die Nachricht ist kein JSON-Objekt
 guard-guard = Schutzprogramm: { $error }
 guard-guard_ended = das Schutzprogramm läuft nicht mehr
-guard-guard_ending = das Schutzprogramm wird beendet
-guard-guard_hangs_restarted = das Schutzprogramm hängt und wird neu gestartet
+guard-guard_ending = das Schutzprogramm endet
+guard-guard_hangs_restarted = das Schutzprogramm hängt; der Treiber startet es neu
 guard-guard_not_answer = das Schutzprogramm antwortet nicht
 guard-link_lost = Leitung verloren: { $reason }
 guard-points = { $points } Punkte
@@ -873,11 +873,11 @@ hold-driver_disconnected = Treiber getrennt
 hold-driver_idle_needed = der Treiber ist { $driver }, er muss ruhen
 hold-driver_moving = der Treiber bewegt etwas
 hold-no_joint_states = keine Gelenkwerte
-hold-no_joint_states_most_allowed = { $since } keine joint_states, höchstens { SHORT($joints_timeout_s) } s sind erlaubt
+hold-no_joint_states_most_allowed = { $since } keine joint_states (Grenze { SHORT($joints_timeout_s) } s)
 hold-no_operator_heartbeat = kein Bediener (Herzschlag)
-hold-no_operator_heartbeat_most_allowed = { $since } kein Herzschlag des Bedieners, höchstens { SHORT($heartbeat_timeout_s) } s sind erlaubt
+hold-no_operator_heartbeat_most_allowed = { $since } kein Herzschlag des Bedieners (Grenze { SHORT($heartbeat_timeout_s) } s)
 hold-no_picture_left_camera = kein Bild von der linken Kamera
-hold-no_picture_left_camera_most = { $since } kein Bild von der linken Kamera, höchstens { SHORT($camera_timeout_s) } s sind erlaubt
+hold-no_picture_left_camera_most = { $since } kein Bild von der linken Kamera (Grenze { SHORT($camera_timeout_s) } s)
 hold-not_calibrated = nicht kalibriert
 hold-not_enabled = nicht freigegeben
 hold-not_homed = keine Referenz
@@ -888,13 +888,13 @@ hold-stylus_last_extended_may_still = der Stift war zuletzt um { FIXED($last_mm,
 ## homing
 
 homing-after_homing_board = nach der Referenzfahrt ist die Platine { $state_text }
-homing-board_must_homed_before_takes = die Platine nimmt vor der Referenzfahrt keine Zeile an (${ $number } ist { WORD($value) }), der Stift muss aber vorher gehoben werden: ${ $number_2 } auf 1 setzen, wie es gantry/write_settings tut
+homing-board_must_homed_before_takes = die Platine nimmt vor der Referenzfahrt keine Zeile an (${ $number } ist { WORD($value) }), der Treiber muss den Stift aber vorher heben: ${ $number_2 } auf 1 setzen, wie es gantry/write_settings tut
 homing-driver = der Treiber ist { $state_text }
-homing-homed_mpos_configuration_says = Referenz bei MPos { $found_mm } mm, die Konfiguration sagt { $expected_mm } mm
+homing-homed_mpos_configuration_says = Referenz bei MPos { $found_mm } mm; erwartet { $expected_mm } mm (Konfiguration)
 
 ## inputs
 
-inputs-calibration_withdrawn = die Kalibrierung wurde zurückgezogen
+inputs-calibration_withdrawn = die Kalibrierung gilt nicht mehr
 inputs-camera_stalled_no_picture = die Kamera steht: { $since } kein Bild
 inputs-controller_started_stylus_extended = die Steuerung begann mit um { FIXED($here_mm, digits: 1) } mm ausgefahrenem Stift
 inputs-driver = der Treiber ist { $driver }
@@ -902,8 +902,8 @@ inputs-lost_operator_no_heartbeat = Bediener verloren: { $age } kein Herzschlag
 inputs-no_joint_states = { $since } keine Gelenkwerte
 inputs-no_pose_panel_recognition_late = { $since } keine Lage der Front: die Erkennung ist verspätet
 inputs-nothing_heard_driver = vom Treiber ist nichts zu hören
-inputs-panel_moved_target_allowed = die Front hat sich am Ziel um { FIXED($moved_mm, digits: 1) } mm bewegt, { SHORT($panel_moved_mm) } mm sind erlaubt
-inputs-panel_not_recognised_most_allowed = die Front ist { $since } nicht erkannt, höchstens { SHORT($panel_max_age_s) } s sind erlaubt: steht etwas davor, ist zu wenig Licht?
+inputs-panel_moved_target_allowed = die Front hat sich am Ziel um { FIXED($moved_mm, digits: 1) } mm bewegt (Grenze { SHORT($panel_moved_mm) } mm)
+inputs-panel_not_recognised_most_allowed = die Front ist { $since } nicht erkannt (Grenze { SHORT($panel_max_age_s) } s): ist etwas davor, oder ist zu wenig Licht?
 inputs-pose_panel = Lage der Front
 inputs-something_hand_hidden = etwas (eine Hand?) verdeckt { $control } seit { FIXED($hidden_s, digits: 1) } s
 
@@ -925,7 +925,7 @@ layout-depth_not_below_knob_height = depth_mm = { SHORT($depth) } ist nicht klei
 layout-detent_deg_not_within_0 = detent_deg = { SHORT($detent) } liegt nicht zwischen 0 und 180 Grad
 layout-detent_deg_remove_key_knob = detent_deg = { SHORT($detent) }: diesen Schlüssel bei einem Knopf ohne Rasten entfernen
 layout-dimple_lies_knob_middle_0 = die Mulde liegt { SHORT($hypot) } bis { SHORT($reach_mm) } mm von der Mitte des Drehknopfs, möglich sind 0 bis { SHORT($knob_mm) } mm
-layout-dimple_mapping_place_diameter_depth = dimple = { $given }: place_mm, diameter_mm und depth_mm werden gebraucht
+layout-dimple_mapping_place_diameter_depth = dimple = { $given }: nötig sind place_mm, diameter_mm und depth_mm
 layout-height_not_within_0_200 = height_mm = { SHORT($proud) } liegt nicht zwischen 0 und 200 mm
 layout-id_markers_0 = id = { $entry }: { $dictionary } hat die Marken 0 bis { $count }
 layout-knob_knob_circle = Drehknopf { $name } ist { WORD($shape) }; ein Drehknopf ist ein Kreis
@@ -947,40 +947,40 @@ layout-tolerance_not_within_0 = tolerance_mm = { SHORT($value) } liegt nicht zwi
 
 ## link
 
-link-asking_build = nach der Firmware gefragt wurde
+link-asking_build = nach der Firmware fragte
 link-board_power_port = { $text }: hat die Steuerung Strom, und ist { $port } ihr Anschluss?
 link-board_reports = die Platine meldet { $state_text }, { $question }?
-link-bytes_came_no_grbl_line = { $text }: { $heard_bytes } Bytes kamen, die von keinem GRBL sind: ist { $baud } ihre Datenrate (baud), oder ist an { $port } ein anderes Gerät?
+link-bytes_came_no_grbl_line = { $text }: { $heard_bytes } Bytes kamen an, die nicht von einem GRBL sind: ist { $baud } ihre Datenrate (baud), oder ist an { $port } ein anderes Gerät?
 link-device_gone = das Gerät ist nicht mehr da
 link-error_driver = Fehler im Treiber: { $error }
 link-firmware_grbl_before_1_1 = die Firmware ist ein GRBL vor 1.1, dessen Meldungen eine andere Form haben; nötig ist 1.1
 link-firmware_marlin_no_feed_hold = die Firmware ist Marlin, die keinen Vorschubhalt kennt; nötig ist GRBL
 link-hold_button_pressed = ist ihre Halt-Taste gedrückt
-link-no_answer_while = keine Antwort in { SHORT($connect_timeout_s) } s, während { $waiting_for }
-link-reading_settings = die Einstellungen gelesen wurden
+link-no_answer_while = keine Antwort in { SHORT($connect_timeout_s) } s, während der Treiber { $waiting_for }
+link-reading_settings = die Einstellungen las
 link-reports_feed_min_limit_min = sie meldet einen Vorschub von { FIXED($feed_mm_min, digits: 0) } mm/min (Grenze { FIXED($feed_limit_mm_min, digits: 0) } mm/min)
 link-reports_mpos_off_limit = sie meldet MPos { $place_mm } mm, { FIXED($off_mm, digits: 2) } mm daneben (Grenze { SHORT($tube_mm) } mm)
 link-safety_door_open = ist ihre Schutztür offen
-link-waiting_banner = auf die Begrüßung gewartet wurde
-link-writing_settings = die Einstellungen geschrieben wurden
+link-waiting_banner = auf die Begrüßung wartete
+link-writing_settings = die Einstellungen schrieb
 
 ## machine
 
-machine-board_not_answered_within_may = die Platine hat $I nicht innerhalb von { SHORT($build_within_s) } s beantwortet und macht vielleicht eine Referenzfahrt: sie wird zurückgesetzt
-machine-homing_answered_after_board_not = die Referenzfahrt wurde nach { FIXED($latency_s, digits: 2) } s beantwortet: die Platine hat sie nicht ausgeführt
+machine-board_not_answered_within_may = die Platine hat $I nicht innerhalb von { SHORT($build_within_s) } s beantwortet und macht vielleicht eine Referenzfahrt: der Treiber setzt sie zurück
+machine-homing_answered_after_board_not = die Platine hat die Referenzfahrt nach { FIXED($latency_s, digits: 2) } s beantwortet, sie also nicht ausgeführt
 machine-homing_refused = Referenzfahrt verweigert: { $text }
 machine-homing_took_longer = die Referenzfahrt dauerte länger als { SHORT($homing_timeout_s) } s
 machine-line = { $error_text } in Zeile { $number } { $line }
 machine-no_banner_within_reset = keine Begrüßung innerhalb von { SHORT($banner_timeout_s) } s nach einem Zurücksetzen
 machine-no_status_report = seit { FIXED($silent_s, digits: 1) } s kein Statusbericht
-machine-refused = { $line } wurde verweigert: { $text }
-machine-stylus_left_extended_allowed = der Stift blieb { FIXED($rested_s, digits: 1) } s lang ausgefahren, { SHORT($allowed_s) } s sind erlaubt
-machine-stylus_not_lifted = der Stift wurde nicht gehoben: { $text }
-machine-stylus_not_lifted_time = der Stift wurde nicht rechtzeitig gehoben
+machine-refused = die Platine lehnt { $line } ab: { $text }
+machine-stylus_left_extended_allowed = der Stift blieb { FIXED($rested_s, digits: 1) } s lang ausgefahren (Grenze { SHORT($allowed_s) } s)
+machine-stylus_not_lifted = die Platine hat den Stift nicht gehoben: { $text }
+machine-stylus_not_lifted_time = die Platine hat den Stift nicht rechtzeitig gehoben
 
 ## markers
 
-markers-marker_panel_where_print_allowed = nach Marke { $known } ist die Front { FIXED($apart_mm, digits: 1) } mm von ihrem Aufdruck entfernt, { SHORT($bound_mm) } mm sind erlaubt
+markers-marker_panel_where_print_allowed = nach Marke { $known } ist die Front { FIXED($apart_mm, digits: 1) } mm von ihrem Aufdruck entfernt (Grenze { SHORT($bound_mm) } mm)
 markers-marker_where_layout = Marke { $dictionary } { $id } ist, wo die Beschreibung { $other } hat
 
 ## motion
@@ -993,7 +993,7 @@ operator-gantry_controller_sent_no_sign = gantry_controller hat seit { FIXED($si
 
 ## page
 
-page-drawn_camera_layers_true_false = nötig ist drawn, oder camera und Ebenen (true oder false)
+page-drawn_camera_layers_true_false = erwartet drawn, oder camera und Ebenen (true oder false)
 page-simulated_time_stood_still_bench = die simulierte Zeit steht seit { SHORT($silent_s) } s: Der Prüfstand, oder ein Programm, auf das er wartet, ist verspätet
 
 ## panel
@@ -1002,16 +1002,16 @@ panel-degrees = bei { FIXED($angle_deg, digits: 1, sign: 1) } Grad
 panel-hidden = verdeckt von { WORD($hidden_by) }
 panel-lamp = Lampe { WORD($lamp) }
 panel-line_sight_not_meet_panel = der Blick trifft die Front nicht von vorn
-panel-no_pose_panel_most_allowed = { $since } keine Lage der Front, höchstens { SHORT($panel_max_age_s) } s sind erlaubt
-panel-none_panel_markers_seen_yet = noch keine der Marken der Front ist gesehen worden
+panel-no_pose_panel_most_allowed = { $since } keine Lage der Front (Grenze { SHORT($panel_max_age_s) } s)
+panel-none_panel_markers_seen_yet = keine Kamera hat bisher die Marken der Front gesehen
 panel-not_picture = nicht im Bild
 panel-panel_not_recognised = Front nicht erkannt
 panel-panel_not_recognised_no_yet = die Front ist nicht erkannt: bisher keine { WORD($missing) }
-panel-panel_not_seen_where_cameras = die Front wurde von dort, wo die Kameras jetzt sind, noch nicht gesehen, höchstens { SHORT($look_timeout_s) } s wird darauf gewartet
-panel-panel_plane_being_measured = die Ebene der Front wird vermessen
-panel-panel_plane_being_measured_driver = die Ebene der Front wird vermessen, der Treiber kennt sie noch nicht
+panel-panel_not_seen_where_cameras = die Kameras haben die Front aus ihrer neuen Lage noch nicht gesehen (Grenze { SHORT($look_timeout_s) } s)
+panel-panel_plane_being_measured = die Messung der Ebene der Front läuft
+panel-panel_plane_being_measured_driver = die Messung der Ebene der Front läuft, der Treiber kennt sie noch nicht
 panel-panel_pose_old = Lage der Front ist veraltet
-panel-panel_recognised_confidence_least_needed = die Front ist mit { FIXED($confidence, digits: 2) } erkannt, mindestens { SHORT($min_confidence) } ist nötig
+panel-panel_recognised_confidence_least_needed = die Sicherheit der Erkennung der Front ist { FIXED($confidence, digits: 2) } (mindestens { SHORT($min_confidence) })
 panel-stylus = dem Stift
 panel-unknown_control_nearest = unbekanntes Element { $name }; am ähnlichsten: { $near }
 
@@ -1030,7 +1030,7 @@ path-trajectory_points_1_needed = die Bahn hat { $points } Punkte, nötig sind 1
 
 ## proof
 
-proof-board_feed_override_rises_although = die Vorschubanpassung der Platine steigt auf { SHORT($feed_percent) } %, obwohl sie zurückgesetzt wird
+proof-board_feed_override_rises_although = die Vorschubanpassung der Platine steigt auf { SHORT($feed_percent) } %, obwohl der Treiber sie zurücksetzt
 proof-board_left_path = die Platine hat den Weg verlassen: { $deviation }
 proof-board_overrides_feed_spindle_set = die Übersteuerung der Steuerung stand auf { SHORT($feed_percent) } % (Vorschub) und { SHORT($spindle_percent) } % (Spindel): auf 100 % zurückgesetzt
 proof-board_reports_work_offset_instead = die Platine meldet den Werkstückversatz { $found_mm } mm statt { $wanted_mm } mm
@@ -1051,10 +1051,10 @@ recognition-picture_values_uint_8_needed = das Bild hat Werte von { $dtype }, n�
 record-already_recording = zeichnet schon auf nach { $output }
 record-bag_record_ended = bag_record endete mit { $returncode }
 record-bag_record_not_installed_beside = bag_record ist neben diesem Programm nicht installiert
-record-being_finished_already = { $output } wird schon abgeschlossen
+record-being_finished_already = bag_record schließt { $output } schon ab
 record-cannot_record = kann nicht nach { $output } aufzeichnen: { $error }
-record-nothing_being_recorded = es wird nichts aufgezeichnet
-record-record_folder_empty_nothing_recorded = record_folder ist leer: hier wird nichts aufgezeichnet
+record-nothing_being_recorded = keine Aufzeichnung läuft
+record-record_folder_empty_nothing_recorded = record_folder ist leer: diese Brücke zeichnet nichts auf
 record-recorded = aufgezeichnet in { $summary }
 record-recording = zeichnet auf nach { $output }
 
@@ -1087,7 +1087,7 @@ sequence-check_text_list_texts_needed = { $place }: check = { $checks }: nötig 
 sequence-controller_neither_taken_nor_refused = die Steuerung hat ihn innerhalb von { SHORT($accept_s) } s weder angenommen noch abgelehnt
 sequence-controller_rest_without_answer = die Steuerung ruht seit { SHORT($accept_s) } s, ohne ihn beantwortet zu haben
 sequence-effect_screen_lamp_name_colour = effect, screen, lamp:NAME=FARBE (oder off), angle:NAME=GRAD (oder MARKE)
-sequence-file_name_characters_all_seen = Dateiname { $shown } mit { $name } Zeichen: erlaubt sind { $limit }, die man alle sieht
+sequence-file_name_characters_all_seen = Dateiname { $shown } mit { $name } Zeichen (Grenze { $limit }, alle sichtbar)
 sequence-gesture_check_within_known = { $place }: { $found }; bekannt sind do (eine Geste), check und within_s
 sequence-ids_given_sequencer = { $place }: { $gesture }: ids vergibt der Ablaufgeber
 sequence-lamp_none = { $place }: Lampe { $found } ist keine von { $lamps }
@@ -1102,14 +1102,14 @@ sequence-no_gantry_controller_listens = keine Steuerung hört zu
 sequence-no_gesture = keine Geste
 sequence-no_lamp_seen_lamps_seen = an { $control } ist keine Lampe zu sehen; Lampen sind zu sehen an { $lit }
 sequence-no_mark = keine Marke { $check }
-sequence-no_sign_work = seit { SHORT($answer_timeout_s) } s ist nicht zu sehen, dass daran gearbeitet wird
+sequence-no_sign_work = seit { SHORT($answer_timeout_s) } s kein Zeichen eines Fortschritts
 sequence-not_looked = nicht danach geschaut
 sequence-not_seen_time = nicht rechtzeitig zu sehen: { WORD($missing) }
 sequence-not_seen_yet = noch nicht gesehen
 sequence-only_knob_angle = { $control } ist: { WORD($kind) }; einen Winkel hat nur ein Drehknopf
 sequence-panel_no_nearest = diese Front hat kein { $name }; am ähnlichsten: { $near }
 sequence-panel_no_screen = diese Front hat keinen Bildschirm
-sequence-sequencer_ending = der Ablaufgeber wird beendet
+sequence-sequencer_ending = der Ablaufgeber endet
 sequence-sequencer_held_up = der Ablaufgeber stand { FIXED($held_up_s, digits: 1) } s lang still
 sequence-step_running = Schritt { $number }/{ $steps }: { $gesture }
 sequence-step_failed = Schritt { $number } von { $steps }, { $gesture }: { $cause }
@@ -1122,37 +1122,37 @@ sequence-within_seconds_above_0_up = { $place }: within_s = { $within }: nötig 
 
 ## servo
 
-servo-seen_error_after_corrections_allowed = der gesehene Fehler ist nach { $corrections } Korrekturen { FIXED($sideways_mm, digits: 2) } mm, { SHORT($max_error_mm) } mm sind erlaubt
-servo-seen_errors_add_up_correction = die gesehenen Fehler ergeben zusammen eine Korrektur um { FIXED($total_mm, digits: 2) } mm, { SHORT($most_mm) } mm sind erlaubt
-servo-tip_seen_above_surface_when = die Spitze war { FIXED($above_mm, digits: 1) } mm über der Fläche zu sehen, als sie berühren sollte, { SHORT($max_depth_error_mm) } mm sind erlaubt: geht der Stift herunter, ist das Bild neu?
-servo-tip_seen_beside_above_place = die Spitze ist { FIXED($sideways_mm, digits: 2) } mm neben und { FIXED($error_mm, digits: 2, sign: 1) } mm über ihrer Stelle zu sehen, { SHORT($max_correction_m) } und { SHORT($max_depth_error_mm) } mm sind erlaubt: neu kalibrieren
-servo-tip_seen_times_times_within = die Spitze wurde { $tips }-mal gesehen, nötig ist { $needed }-mal innerhalb von { SHORT($spread_mm) } mm
-servo-touched_beside_target_allowed = { FIXED($error_mm, digits: 2) } mm neben dem Ziel berührt, { SHORT($bound_mm) } mm sind erlaubt
+servo-seen_error_after_corrections_allowed = der gesehene Fehler ist nach { $corrections } Korrekturen { FIXED($sideways_mm, digits: 2) } mm (Grenze { SHORT($max_error_mm) } mm)
+servo-seen_errors_add_up_correction = die gesehenen Fehler ergeben zusammen eine Korrektur um { FIXED($total_mm, digits: 2) } mm (Grenze { SHORT($most_mm) } mm)
+servo-tip_seen_above_surface_when = die Spitze war { FIXED($above_mm, digits: 1) } mm über der Fläche zu sehen, als sie berühren sollte (Grenze { SHORT($max_depth_error_mm) } mm): geht der Stift herunter, ist das Bild neu?
+servo-tip_seen_beside_above_place = die Spitze ist { FIXED($sideways_mm, digits: 2) } mm neben und { FIXED($error_mm, digits: 2, sign: 1) } mm über ihrer Stelle zu sehen (Grenze { SHORT($max_correction_m) } und { SHORT($max_depth_error_mm) } mm): neu kalibrieren
+servo-tip_seen_times_times_within = die Kameras sahen die Spitze { $tips }-mal (mindestens { $needed }-mal innerhalb von { SHORT($spread_mm) } mm)
+servo-touched_beside_target_allowed = { FIXED($error_mm, digits: 2) } mm neben dem Ziel berührt (Grenze { SHORT($bound_mm) } mm)
 servo-touched_but_not_measured = berührt, aber nicht gemessen: { $unseen_text }
 
 ## settings
 
 settings-not_kept = die Platine hat eine Einstellung nicht behalten: { $setting }
-settings-became_write_back = ${ $n } wurde { $settings }, war aber { $kept }: zurückschreiben
+settings-became_write_back = ${ $n } ist jetzt { $settings }, war aber { $kept }: zurückschreiben
 settings-bit_0_bit_5 = Bit 0 ({ $machine_position }) oder Bit 5 ({ $work_offset })
 settings-board_no_settings = die Platine hat keine Einstellungen
 settings-board_told_no_settings = die Platine hat keine Einstellungen gemeldet
-settings-cannot_written = { WORD($value) } kann nicht geschrieben werden
+settings-cannot_written = { WORD($value) } lässt sich nicht schreiben
 settings-configuration = die Konfiguration
 settings-could_not_read_noise_line = { WORD($missing) } war nicht zu lesen, ist die Leitung gestört? Was die Platine nach jedem Reset ausführt, ist nicht bekannt: neu verbinden
 settings-line_given_twice = Zeile { $place }: ${ $number } steht zweimal da
 settings-line_not_value = Zeile { $place }: { $text } ist nicht von der Form $Nummer=Wert
 settings-line_not_within = Zeile { $place }: { $text } liegt nicht zwischen -{ SHORT($largest) } und { SHORT($largest_2) }
-settings-missing_says = ${ $number } fehlt, { $who } sagt { SHORT($value) }
-settings-motors_let_go_can_pushed = ${ $idle_delay } ist { $idle }: Motoren, die loslassen, können unbemerkt verschoben werden, { $stays_on } lässt sie eingeschaltet
+settings-missing_says = ${ $number } fehlt; erwartet { SHORT($value) } ({ $who })
+settings-motors_let_go_can_pushed = ${ $idle_delay } ist { $idle }: Motoren ohne Strom verschieben sich unbemerkt, { $stays_on } lässt sie eingeschaltet
 settings-nothing_accept_driver = nichts anzunehmen: der Treiber ist { $state_text }
 settings-nothing_write = nichts zu schreiben: { $known }
 settings-profile_no_setting = das Profil hat keine Einstellung
-settings-reports_tell_no_machine_position = ${ $number } ist { $shown }: ihre Berichte nennen ohne { $lacks } keine Maschinenposition, { $who } sagt { SHORT($value) }
+settings-reports_tell_no_machine_position = ${ $number } ist { $shown }: ihre Berichte nennen ohne { $lacks } keine Maschinenposition; erwartet { SHORT($value) } ({ $who })
 settings-runs_after_each_reset_must = { $name } führt nach jedem Reset { $text } aus, muss aber leer sein: mit $X entsperren, dann { $name_2 }= senden
 settings-runs_after_reset_must_empty = { $name } führt nach einem Reset { $text } aus, muss aber leer sein: aus der Konfigurationsdatei der Platine nehmen
-settings-says = ${ $number } ist { $text }, { $who } sagt { SHORT($value) }
-settings-settings_written_board_rest_stylus = Einstellungen werden nur geschrieben, wenn die Platine ruht und der Stift oben ist; der Treiber ist { $state_text }
+settings-says = ${ $number } ist { $text }; erwartet { SHORT($value) } ({ $who })
+settings-settings_written_board_rest_stylus = der Treiber schreibt Einstellungen nur, wenn die Platine ruht und der Stift oben ist; er ist { $state_text }
 settings-these_settings = sie hat diese Einstellungen schon
 settings-writing = schreibt { $lines }
 settings-written = das Geschriebene
@@ -1195,13 +1195,13 @@ state-named = { $state ->
 
 ## stereo
 
-stereo-left_right_images_differ_tolerance = linkes und rechtes Bild liegen { FIXED($apart_ms, digits: 1) } ms auseinander, erlaubt sind { SHORT($tolerance_ms) } ms: pair_tolerance_s einstellen, denn eine ruhende Front sieht in beiden gleich aus
+stereo-left_right_images_differ_tolerance = linkes und rechtes Bild liegen { FIXED($apart_ms, digits: 1) } ms auseinander (Grenze { SHORT($tolerance_ms) } ms): pair_tolerance_s einstellen, denn eine ruhende Front sieht in beiden gleich aus
 
 ## still
 
 still-machine_not_stood_still = die Maschine hat noch keine { SHORT($settle_s) } s lang stillgestanden
 still-no_joint_states_arrive = es kommen keine Gelenkwerte
-still-tip_scatters_accepted = die Spitze streut um { FIXED($scatter_mm, digits: 2) } mm, { FIXED($scatter_2_mm, digits: 2) } mm sind erlaubt
+still-tip_scatters_accepted = die Spitze streut um { FIXED($scatter_mm, digits: 2) } mm (Grenze { FIXED($scatter_2_mm, digits: 2) } mm)
 
 ## stop
 
@@ -1213,7 +1213,7 @@ stop-nothing_reset_driver = nichts zurückzusetzen: der Treiber ist { $state_tex
 stop-reset_left_board_locked_position = nach dem Zurücksetzen ist die Platine gesperrt, ihre Position ist verloren
 stop-stop_not_complete_yet = der Stop ist noch nicht zu Ende
 stop-stylus_left_down_while_no = der Stift blieb unten, während kein Treiber verbunden war
-stop-stylus_not_lifted_still_extended = der Stift wurde nicht gehoben: er ist noch { FIXED($extension_mm, digits: 1) } mm ausgefahren
+stop-stylus_not_lifted_still_extended = die Platine hat den Stift nicht gehoben: er ist noch { FIXED($extension_mm, digits: 1) } mm ausgefahren
 
 ## stream
 
@@ -1224,10 +1224,10 @@ stream-driver_inactive = der Treiber ist nicht aktiv
 stream-no_operator_heartbeat_yet = bisher kein Herzschlag des Bedieners
 stream-nothing_pause_driver = nichts anzuhalten: der Treiber ist { $state_text }
 stream-nothing_resume_driver = nichts fortzusetzen: der Treiber ist { $state_text }
-stream-operator_heartbeat_lost_old_allowed = der Herzschlag des Bedieners blieb aus: { FIXED($age_s, digits: 2) } s alt, { SHORT($heartbeat_timeout_s) } s sind erlaubt
+stream-operator_heartbeat_lost_old_allowed = der Herzschlag des Bedieners blieb aus: { FIXED($age_s, digits: 2) } s alt (Grenze { SHORT($heartbeat_timeout_s) } s)
 stream-place_work_offset_changed_since = Ort oder Werkstückversatz haben sich seit der Prüfung des Programms geändert
 stream-program_lines_about = Programm mit { $checked } Zeilen, etwa { FIXED($seconds_s, digits: 1) } s
-stream-stale_stamp_old_allowed = veraltet: der Stempel ist { FIXED($age_s, digits: 3) } s alt, { SHORT($limit_s) } s sind erlaubt
+stream-stale_stamp_old_allowed = veraltet: der Stempel ist { FIXED($age_s, digits: 3) } s alt (Grenze { SHORT($limit_s) } s)
 stream-trajectory_driver = Bahn beim Treiber
 
 ## stylus
@@ -1236,31 +1236,31 @@ stylus-extended = der Stift ist um { FIXED($extended_mm, digits: 1) } mm ausgefa
 stylus-down = der Stift ist unten
 stylus-servo_may_without_pulses_sink = der Servo ist vielleicht ohne Impulse und sinkt, der Stift drückt dann vielleicht
 stylus-solenoid_without_power_stylus_up = der Hubmagnet ist stromlos, der Stift ist oben
-stylus-stylus_not_lifted_may_still = der Stift wurde nicht gehoben, er drückt vielleicht noch
+stylus-stylus_not_lifted_may_still = die Platine hat den Stift nicht gehoben, er drückt vielleicht noch
 
 ## target
 
 target-bare_face = die bloße Front
-target-connectors_never_pressed = { $control } ist: { WORD($kind) }; Buchsen werden nie gedrückt
+target-connectors_never_pressed = { $control } ist: { WORD($kind) }; der Stift drückt keine Buchsen
 target-dimple_wide_stylus_needs_more = die Mulde von { $control } ist { SHORT($diameter_mm) } mm weit, der Stift braucht mehr als { FIXED($wide_mm, digits: 1) } mm, um den Grund zu erreichen
 target-drag_begins_ends_must_stay = das Ziehen beginnt auf { $control } und endet auf { $name }; es muss auf einem bleiben
 target-drag_begins_only_touch_area = das Ziehen beginnt auf { $name }; ziehen geht nur auf einem Berührbildschirm
 target-only_knob_can_turned = { $control } ist: { WORD($kind) }; drehen geht nur mit einem Drehknopf
 target-only_knob_can_turned_no = drehen geht nur mit einem Drehknopf, und an dieser Stelle ist kein Element
-target-panel_leans_degrees_most_allowed = die Front ist um { FIXED($tilt_deg, digits: 1) } Grad geneigt, höchstens { SHORT($max_tilt_deg) } sind erlaubt
+target-panel_leans_degrees_most_allowed = die Front ist um { FIXED($tilt_deg, digits: 1) } Grad geneigt (Grenze { SHORT($max_tilt_deg) })
 target-pixel_lies_outside_picture = Bildpunkt ({ SHORT($x) }; { SHORT($y) }) liegt außerhalb des Bildes mit { $width } x { $height }
-target-point_beside_high_needed = die Stelle liegt { FIXED($gap_mm, digits: 1) } mm neben { $other } ({ FIXED($height_mm, digits: 0) } mm hoch), nötig sind { FIXED($needed_mm, digits: 1) } mm
+target-point_beside_high_needed = die Stelle liegt { FIXED($gap_mm, digits: 1) } mm neben { $other } ({ FIXED($height_mm, digits: 0) } mm hoch), mindestens { FIXED($needed_mm, digits: 1) } mm
 target-point_lies_outside_panel = der Punkt ({ FIXED($point, digits: 4) }; { FIXED($point_2, digits: 4) }) m in { $panel } liegt außerhalb der Front, ({ FIXED($low, digits: 3) }; { FIXED($low_2, digits: 3) }) bis ({ FIXED($high, digits: 3) }; { FIXED($high_2, digits: 3) }) m
 target-stylus_degrees_play_dimple_most = der Stift hat { FIXED($play_deg, digits: 1) } Grad Spiel in der Mulde von { $control }, höchstens { SHORT($most_bias_deg) } sind auszugleichen
 target-touch_needs_extension_stylus_reaches = die Berührung braucht { FIXED($touch_z_m, digits: 4) } m Weg, der Stift reicht { FIXED($down_m, digits: 4) } m
-target-turned_dimple_found_marker_turn = { $control } wird in der Mulde gedreht, die an der Marke erkannt wird: mit seinem Namen drehen
+target-turned_dimple_found_marker_turn = der Stift dreht { $control } in der Mulde, die er an der Marke erkennt: mit dem Namen drehen
 
 ## teach
 
 teach-not_understood = die Anfrage ist nicht verständlich: { $kind }: { $error }
 teach-already_remove_choose_another_model = { $path } gibt es schon; entfernen oder ein anderes Modell wählen
-teach-another_panel_taught_before_picture = eine andere Front sollte angelernt werden, bevor das Bild von { $stamp_ns } kam
-teach-cannot_encoded = { $template } kann nicht gespeichert werden
+teach-another_panel_taught_before_picture = ein Auftrag für eine andere Front kam vor dem Bild von { $stamp_ns }
+teach-cannot_encoded = { $template } lässt sich nicht speichern
 teach-control_kind_none = Element { $control }: Art { WORD($kind) } ist keine von { $control_kinds }
 teach-control_name_kind_widthxheight_height = Element { $text }: nötig ist NAME:Art:u,v:BREITExHÖHE[:Überstand]
 teach-corners_not_go_round_face = die Ecken { $corners } gehen nicht um die Front herum: unten links, unten rechts, oben rechts, oben links
@@ -1289,9 +1289,9 @@ text-quoted = '{ $text }'
 
 ## tips
 
-tips-left_right_images_differ_tolerance = linkes und rechtes Bild liegen { FIXED($difference_ms, digits: 1) } ms auseinander, erlaubt sind { SHORT($tolerance_ms) } ms: { $parameter } einstellen
+tips-left_right_images_differ_tolerance = linkes und rechtes Bild liegen { FIXED($difference_ms, digits: 1) } ms auseinander (Grenze { SHORT($tolerance_ms) } ms): { $parameter } einstellen
 tips-right_image_before_not_show = das rechte Bild davor zeigt die Kugel nicht
-tips-rows_differ_above_left_image = die Zeilen unterscheiden sich zum Zeitpunkt des linken Bildes um { FIXED($rows_px, digits: 2) } px, erlaubt sind { SHORT($row_limit_px) }
+tips-rows_differ_above_left_image = die Zeilen unterscheiden sich zum Zeitpunkt des linken Bildes um { FIXED($rows_px, digits: 2) } px (Grenze { SHORT($row_limit_px) })
 
 ## tour
 
@@ -1325,7 +1325,7 @@ wait-image_left_camera = Bild der linken Kamera
 
 yaml-characters = { $key } = { WORD($value) }..., { $value_2 } Zeichen
 yaml-colour_such_ff_8800_needed = { $key } = { WORD($value) }: nötig ist eine Farbe wie "#ff8800"
-yaml-expected_key_value = { $pair }: erwartet wird KEY=VALUE
+yaml-expected_key_value = { $pair }: erwartet KEY=VALUE
 yaml-expected_up_printable_characters = { $found }: erlaubt sind höchstens { $max_text } druckbare Zeichen
 yaml-key_stands_twice = Schlüssel { $key } steht zweimal da
 yaml-more_levels = mehr als { $max_depth } Ebenen

@@ -47,7 +47,7 @@ export function act(button) {
   desk.ask("act", { gesture, selection: desk.selection.number, ...desk.seen, ...fields });
 }
 
-// --- the dial: where a knob's marker stands, and where it shall stand; degrees counter-clockwise from up ---------------
+// --- the dial: current and wanted angle of a knob's marker; degrees counter-clockwise from up ---------------------------
 
 function turned(event) {
   const area = find("dial").getBoundingClientRect();

@@ -1,10 +1,10 @@
-// Control: whether this page has it, who else has it or requests it, and what became of a request.
+// Control: whether this page has it, who else has it or requests it, and the outcome of a request.
 
 import { desk } from "../connection/desk.js";
 import { find, put } from "../elements/dom.js";
 import { t } from "../language/strings.js";
 
-/** What the last changes of control were, for as long as people should read it. */
+/** Last changes of control, shown for as long as people need to read them. */
 export const control = {
   lost: false, // this page has lost control, and no page has it
   had: false, // this page had control in the last state

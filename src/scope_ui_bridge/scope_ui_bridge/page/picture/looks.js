@@ -1,4 +1,4 @@
-// What is looked at: the camera, and the layers over its picture.
+// Chosen view: the camera, and the layers over its picture.
 
 import { desk } from "../connection/desk.js";
 import { find, press } from "../elements/dom.js";

@@ -38,7 +38,7 @@ export class Overlay extends EventTarget {
     return this.#panel.controls;
   }
 
-  /** What is missing to draw the panel, "picture", "camera" or "panel"; empty if nothing is. */
+  /** Missing part of the drawn panel, "picture", "camera" or "panel"; empty if none is missing. */
   get missing() {
     return this.#panel.missing;
   }
@@ -194,7 +194,7 @@ export class Overlay extends EventTarget {
     this.dispatchEvent(new CustomEvent("choose", { detail: { u, v, byKey } }));
   }
 
-  /** Pixel of the picture under a pointer. */
+  /** Pixel of the image under a pointer. */
   pixel(event) {
     const area = this.#svg.getBoundingClientRect();
     const u = ((event.clientX - area.left) / area.width) * this.#size[0] - 0.5;
