@@ -186,7 +186,9 @@ def judge(rig: Rig, fault: Fault, way: list[Point], sent: list[str], since: int,
     after = rig.mpos()
     assert max(abs(a - b) for a, b in zip(after[:2], before[:2])) < 1e-6, f"motion after the answer: {before}, {after}"
     assert after[2] >= before[2] - 1e-6, f"the stylus went down after the answer: {before}, {after}"
-    told = any(text in rig.machine.state_text for text in ("not lifted: ", "not lifted in time"))  # by the board
+    told = any(
+        text in rig.machine.state_text for text in ("not lifted: ", "did not lift the stylus in time")
+    )  # by the board
     if not reached and rig.machine.homed and fault.name != "door" and not told:
         assert after[2] > HOMED[2] - MAY_PRESS_MM and rig.servo() != CONFIG.stylus.servo_down, (
             f"a stop that presses: {after}"

@@ -33,7 +33,7 @@ def test_a_question_that_became_an_order_to_home_is_reported_and_reset(seed: int
     found = run_case(Case(TO_BOARD, seed))
     assert "$H" in found.became
     assert found.verdict != WRONG, text_of(found)
-    assert any("may be homing: it is reset" in text for text in found.told)
+    assert any("may be homing: the driver resets it" in text for text in found.told)
 
 
 def test_a_report_from_ahead_of_the_board_is_not_published() -> None:

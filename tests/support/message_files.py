@@ -164,7 +164,7 @@ ONLY_ELSEWHERE = {
     ),
 }
 _UNSAID = re.compile(  # calls whose texts go to a log only, or to no reader
-    r"setting|re\.compile|Note|(Assertion|Runtime|Config|Calibration)Error|Message|Text|.*get_logger\(\)\..*|_?LOG\..*"
+    r"setting|re\.compile|LogNote|(Assertion|Runtime|Config|Calibration)Error|Message|Text|.*get_logger\(\)\..*|_?LOG\..*"
 )
 
 

@@ -51,7 +51,7 @@ def test_program_that_leaves_the_travel_is_rejected_before_it_moves(board: GrblB
 def test_program_is_rejected_on_a_machine_that_is_not_homed(board: GrblBoard) -> None:
     with GrblClient(str(board.port), PATIENT) as client:
         client.connect()
-        with pytest.raises(GrblError, match="the board is unhomed, 'idle' is needed"):
+        with pytest.raises(GrblError, match="the board is unhomed; expected 'idle'"):
             client.run(["G53 G1 X-349 Y-209 F9000"])
     assert moves(board) == []
 

@@ -71,7 +71,7 @@ def test_still_and_new_moments_are_kept_from_both_cameras(ros: Any, tmp_path: Pa
     publishers[1].publish(image_message(shown[0], "mono8", header(stamp + 300_000_000, "camera")))
     publishers[0].publish(image_message(np.full_like(shown[0], 90), "mono8", header(stamp + 400_000_000, "camera")))
     publishers[1].publish(image_message(np.full_like(shown[0], 90), "mono8", header(stamp + 400_000_000, "camera")))
-    ros.spin_until(lambda: any("not seen by both" in line for line in lines), 20, lambda: lines)
+    ros.spin_until(lambda: any("one camera does not see the board" in line for line in lines), 20, lambda: lines)
     assert len(lines) == count + 1 and len(collection.kept) == 2
 
     # Cameras that run freely never give one, and a deep picture is looked at as one of 8 bits.

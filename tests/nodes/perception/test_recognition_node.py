@@ -364,7 +364,10 @@ def test_a_panel_is_taught_by_messages(ros: Any, tmp_path: Path) -> None:
     ros.spin_until(lambda: len(answers) == 2, 20.0)
     assert result_of_message(answers[1]).goal_id == "late" and "within 5 s" in result_of_message(answers[1]).reason
     unclear = ask(size_mm="big")
-    assert (unclear.goal_id, unclear.outcome) == ("one", Outcome.REJECTED) and "not understood" in unclear.reason
+    assert (unclear.goal_id, unclear.outcome) == (
+        "one",
+        Outcome.REJECTED,
+    ) and "cannot read the request" in unclear.reason
     wrong = ask(corners=corners[::-1])
     assert wrong.outcome is Outcome.REJECTED and "do not go round the face" in wrong.reason
     empty = ask(np.zeros((0, 0, 3), np.uint8))

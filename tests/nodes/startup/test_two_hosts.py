@@ -166,7 +166,7 @@ class Desk:
 
     def goes(self, x_m: float, y_m: float, within_s: float = 20.0) -> None:
         """Go there; the controller may get the heartbeat and the end of homing later than the desk."""
-        early = ("rejected no operator heartbeat", "rejected the driver is 'homing', 'idle' is needed")
+        early = ("rejected no operator heartbeat", "rejected the driver is 'homing'; expected 'idle'")
 
         def reached() -> bool:
             end = self.ends(self.go(x_m, y_m))

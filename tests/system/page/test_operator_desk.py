@@ -269,7 +269,7 @@ def test_nothing_is_taken_for_a_confirmation_that_was_none(operator: Operator, i
     operator.selects("RUN_STOP", "Run / Stop")
     operator.confirms()
     page.click("[data-control=CH1_IN]", force=True)
-    operator.sees("#refusal", "connector and is never touched")
+    operator.sees("#refusal", "connector; the stylus never touches connectors")
     operator.sees("#selection-name", "Nothing selected")
     page.wait_for_timeout(1000)
     instrument.tell("motion 0.3")
@@ -388,7 +388,7 @@ def test_connections_that_hang_and_places_that_are_taken(browser: Any, instrumen
     page.route_web_socket(re.compile("/control$"), control)
     page.route_web_socket(re.compile("/video$"), passing_on(pictures, lambda: hung))
     page.reload()
-    person.sees("#banner", "All 24 places are taken")
+    person.sees("#banner", "Other viewers have all 24 places")
     whole = True
     person.sees_controls()
     person.sees("#banner", "Viewing")
@@ -405,7 +405,7 @@ def test_connections_that_hang_and_places_that_are_taken(browser: Any, instrumen
     whole, hung = False, len(pictures)
     page.route("**/stop*", lambda route: route.abort())
     lines[-1].close()
-    person.sees("#banner", "The link to the bridge is lost. This page’s STOP may not arrive")
+    person.sees("#banner", "No link to the bridge. This page’s STOP may not arrive")
     for part in ("driver", "controller", "calibration", "recognition"):
         person.sees(f"#chip-{part}", "unknown")
         assert page.get_attribute(f"#chip-{part}", "data-look") == "none", "what was last heard may hold no more"
@@ -537,7 +537,7 @@ def test_what_was_pressed_while_the_page_was_held_up_is_not_done(operator: Opera
     for name, press in presses.items():
         page.evaluate("async () => { (await import('/page/connection/desk.js')).desk.refuse({ code: 'no_number' }); }")
         page.evaluate(press)
-        said = operator.sees("#refusal", r"pressed 5\d\d\d ms ago, while the page was held up")
+        said = operator.sees("#refusal", r"pressed 5\d\d\d ms ago, while the page was busy")
         assert "at most 4000 ms" in said, name
     assert page.inner_text("#selection-name") == "Nothing selected"
     # A second press from before the page has asked for it, though not long ago, is no answer to the question.
@@ -547,7 +547,7 @@ def test_what_was_pressed_while_the_page_was_held_up_is_not_done(operator: Opera
     page.keyboard.press("Escape")
     operator.logs("STOP", 15.0)
     page.evaluate("late('click', '#lease-release')")
-    operator.sees("#lease-text", "Nobody is in control")
+    operator.sees("#lease-text", "No operator has control")
     page.click("#lease-take")
     operator.sees("#lease-text", "You are in control")
     page.click("#reset")
@@ -818,7 +818,10 @@ def test_a_sign_in_that_ends_is_told_and_put_off_while_something_moves(browser: 
     assert page.evaluate(beside, "דנה") == "\u2068דנה\u2069 · 2 viewing", "else 2 would stand to the left of it"
     ends["sign_in_ends_s"] = 250.0
     try:
-        person.sees("#stay-text", "Your sign-in ends within 5 min. Then what moves is stopped, stylus up")
+        person.sees(
+            "#stay-text",
+            "Your sign-in ends within 5 min. Then the machine stops, the stylus lifts, and you lose control",
+        )
         assert (page.inner_text("#stay-label"), page.get_attribute("#stay-secret", "type")) == ("Password", "password")
         assert "ends within 5 min" in page.inner_text("#say")
         assert axe(person) == []

@@ -124,7 +124,7 @@ def test_the_page_freezes(room: Room) -> None:
     assert "Watchdog" in row
     room.witness.sees("#banner", r"GESTOPPT – die Seite des Bedieners antwortete nicht.*0,\d s lang nichts")
     room.operator.sees("#banner", "STOPPED – the operator’s page did not respond")
-    room.operator.sees("#lease-text", "Nobody is in control")
+    room.operator.sees("#lease-text", "No operator has control")
     assert not room.operator.page.is_enabled("#reset"), "nothing resumes by itself"
     room.resets()
 
@@ -160,7 +160,7 @@ def test_the_link_is_cut(room: Room) -> None:
     room.rig.link.cut()
     check("link cut", begin, room.rig.halted_s(since))
     room.witness.sees("#banner", "GESTOPPT – die Verbindung zur Seite des Bedieners ist abgerissen")
-    room.operator.sees("#banner", "link to the bridge is lost", within_s=5.0)
+    room.operator.sees("#banner", "No link to the bridge", within_s=5.0)
     room.operator.sees("#chip-link", "LOST")
     room.rig.link.mend()
     room.operator.sees("#chip-link", r"\d ms", within_s=10.0)
@@ -173,7 +173,7 @@ def test_the_camera_stalls(room: Room) -> None:
     begin = time.monotonic()
     with standing_still(room.rig.camera):
         check("camera stalled", begin, room.rig.halted_s(since))
-        room.operator.logs("STOP.*no camera picture came while something moved", 5.0)
+        room.operator.logs("STOP.*the camera sent no image during a motion", 5.0)
         room.operator.sees("#banner", r"STOPPED – no camera picture came.*nothing for 0\.\d s")
         room.witness.sees("#banner", "GESTOPPT – während einer Bewegung kam kein Kamerabild")
         room.operator.sees("#stale", "STALE")
@@ -186,7 +186,7 @@ def test_the_server_hangs(room: Room) -> None:
     begin = time.monotonic()
     with standing_still(room.rig.bridge):
         check("server stopped", begin, room.rig.halted_s(since))
-        room.operator.sees("#banner", "link to the bridge is lost", within_s=5.0)
+        room.operator.sees("#banner", "No link to the bridge", within_s=5.0)
     room.operator.sees("#banner", "STOPPED.*heartbeat", within_s=10.0)
     room.resets()
 
@@ -196,7 +196,7 @@ def test_the_server_is_killed(room: Room) -> None:
     begin = time.monotonic()
     room.rig.bridge.kill()
     check("server killed", begin, room.rig.halted_s(since))
-    room.operator.sees("#banner", "link to the bridge is lost", within_s=5.0)
+    room.operator.sees("#banner", "No link to the bridge", within_s=5.0)
     room.rig.bridge.wait()
     room.rig.start_bridge()
     room.rig.address()

@@ -280,7 +280,7 @@ def test_a_sequence_is_collected_followed_and_stopped(
     person.sees("#chip-controller", "Ready")
     page.wait_for_timeout(500)
     assert "Press Save" not in page.inner_text("#log"), "nothing resumes by itself"
-    assert "2 steps is sent" in page.evaluate(_SENT)
+    assert "sent the sequence of 2 steps" in page.evaluate(_SENT)
     page.reload()
     person.sees_controls()
     page.click("#tab-sequence")
@@ -444,8 +444,8 @@ def test_an_engineer_teaches_a_panel(person: Operator, teacher: Path) -> None:
     page.fill("#teach-model", "taught_scope")
     page.fill("#teach-controls li >> nth=1 >> input >> nth=0", "5")
     page.press("#teach-controls li >> nth=1 >> input >> nth=0", "Tab")
-    deadline, said = time.monotonic() + 90.0, "recognition listens"
-    while "recognition listens" in said:  # it may still be starting, and compiling where there is no cache yet
+    deadline, said = time.monotonic() + 90.0, "no recognition is running"
+    while "no recognition is running" in said:  # it may still be starting, and compiling where there is no cache yet
         assert time.monotonic() < deadline, said
         page.click("#teach-write")
         said = person.sees("#teach-said", "Nothing written: ", within_s=40.0)

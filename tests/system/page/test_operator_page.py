@@ -45,8 +45,8 @@ def strict_instrument(browser: Any, tmp_path: Path) -> Iterator[Instrument]:
     ("topic", "english", "german"),
     [
         ("left/image_raw", "No picture has come from the camera yet", "Von der Kamera kam noch kein Bild"),
-        ("left/camera_info", "A camera is not calibrated", "Eine Kamera ist nicht kalibriert"),
-        ("panel/pose", "No panel is recognised: the left camera must", "Keine Front erkannt"),
+        ("left/camera_info", "A camera has no calibration", "Eine Kamera ist nicht kalibriert"),
+        ("panel/pose", "The cameras do not recognise the panel: the left camera must", "Keine Front erkannt"),
     ],
 )
 def test_where_there_is_no_control_the_list_of_controls_says_why(
@@ -113,9 +113,9 @@ def test_a_knob_a_point_and_the_touch_screen(browser: Any, instrument: Instrumen
     operator.confirms()
     operator.logs(r"Press \([\d.]+, [\d.]+\) mm.*done", 20.0)
     page.click("[data-control=CH1_IN]", force=True)  # aria-disabled, and still answered
-    operator.sees("#refusal", "connector and is never touched")
+    operator.sees("#refusal", "connector; the stylus never touches connectors")
     page.mouse.click(area["x"] - 60, area["y"] - 90)
-    operator.sees("#refusal", "beside the panel")
+    operator.sees("#refusal", "off the panel")
     page.select_option("#chooser", "MENU")
     operator.sees("#selection-name", "Menu")
     operator.leaves()
@@ -125,7 +125,7 @@ def test_everything_by_keyboard_and_escape_stops_a_motion(browser: Any, instrume
     operator = Operator(browser, instrument.address(), color_scheme="dark")
     page = operator.page
     operator.sees_controls()
-    operator.sees("#lease-text", "Nobody is in control")
+    operator.sees("#lease-text", "No operator has control")
     page.keyboard.press("l")
     operator.sees("#lease-text", "You are in control")
     focused = lambda: page.evaluate("document.activeElement.dataset.control ?? ''")  # noqa: E731
@@ -314,7 +314,7 @@ def test_an_old_picture_is_shown_as_such_and_moves_nothing(browser: Any, strict_
     instrument.tell("driver homing")  # which needs no picture
     operator.sees("#banner", "Moving, and the live picture is old. STOP or Esc stops it")
     instrument.tell("driver idle")
-    operator.sees("#banner", "picture is old. Nothing can be selected or moved")
+    operator.sees("#banner", "picture is old. You cannot select or move anything")
     spoken = page.evaluate("""async () => {
         const said = [];
         const heard = new MutationObserver(() => said.push(document.getElementById("refusal").textContent));

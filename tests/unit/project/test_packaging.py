@@ -343,7 +343,7 @@ def test_ros2_launch_refuses_a_second_graph_and_a_namespace_that_is_none(
         "room": "",
     }
     given |= {"package": "", "run": str(tmp_path / "run"), "real_time": "false"}
-    with pytest.raises(GraphDescriptionError, match=r"namespace \.\./bed: names of letters"):
+    with pytest.raises(GraphDescriptionError, match=r"namespace \.\./bed; expected names of letters"):
         start(given | {"namespace": "../bed"})
     assert list(tmp_path.iterdir()) == []
     assert start(given | {"package": "gantry_driver"}), "a part may come to a graph"

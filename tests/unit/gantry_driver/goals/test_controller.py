@@ -394,7 +394,7 @@ def test_panel_never_seen_unsure_or_old() -> None:
     bench = Bench()
     bench.confidence = 0.25
     bench.start()
-    rejected(bench, bench.do("press:RUN_STOP"), "confidence 0.25", "at least 0.3")
+    rejected(bench, bench.do("press:RUN_STOP"), "confidence of the panel", "0.25", "at least 0.3")
     assert bench.controller.state == "waiting: panel not recognised"
     bench.confidence = float("nan")
     bench.run(0.2)
@@ -613,7 +613,7 @@ def test_jumping_tip_is_not_averaged() -> None:
 def test_stalled_camera_in_every_phase(phase: GoalPhase, limit_s: int) -> None:
     bench = Bench().start()
     bench.on_phase[phase] = silence("camera")
-    words = "the camera has stalled", f"no picture for {limit_s}.0 s", "the stylus is up"
+    words = "the camera has stalled", f"no image for {limit_s}.0 s", "the stylus is up"
     aborted(bench, bench.do("press:RUN_STOP"), *words)
     stylus_is_up(bench)
 

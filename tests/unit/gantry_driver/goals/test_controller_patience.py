@@ -142,7 +142,7 @@ def test_after_contact_no_limit_grows_and_no_code_asks_for_a_repetition() -> Non
     bench.on_phase[GoalPhase.TOUCH] = silence("camera")
     result = bench.do("press:RUN_STOP")
     assert result.outcome is Outcome.ABORTED and result.code == ""
-    assert "no image for 1.0 s" in result.reason and "look at the panel before trying again" in result.reason
+    assert "no image for 1.0 s" in result.reason and "check the panel before you try again" in result.reason
     assert dict(result.details)["delayed"] == "image of the left camera"
 
 

@@ -58,12 +58,12 @@ def test_a_look_is_not_done_while_too_few_agree_sideways() -> None:
         (
             (3.0, 4.1, -1.0),
             0,
-            "the tip is seen 5.08 mm to the side of and -1.00 mm above its target (limits 5 and 3 mm)",
+            "the tip is 5.08 mm to the side of and -1.00 mm above its target (limits 5 and 3 mm)",
         ),
         (
             (0.0, 0.0, 3.1),
             0,
-            "the tip is seen 0.00 mm to the side of and +3.10 mm above its target (limits 5 and 3 mm)",
+            "the tip is 0.00 mm to the side of and +3.10 mm above its target (limits 5 and 3 mm)",
         ),
     ],
 )

@@ -242,7 +242,7 @@ def test_a_homing_that_was_another_question_is_none() -> None:
     rig.once(b"$H", b"$I")
     assert rig.machine.home(rig.now) == ""
     rig.until(lambda: rig.machine.phase.name == "STOPPED", 20.0)
-    assert "the board has not homed" in rig.states[-1] and not rig.machine.homed
+    assert "so it has not homed" in rig.states[-1] and not rig.machine.homed
 
 
 def test_a_setting_that_was_not_to_be_written_blocks_motion() -> None:

@@ -345,7 +345,7 @@ def test_coverage_says_what_is_missing() -> None:
 def test_live_views_are_kept_when_still_and_new() -> None:
     first, second = views(9, 2, sigma_px=0.0)
     collection = ViewCollection(BOARD, wanted=2)
-    assert "not seen whole" in collection.offer([None])
+    assert "not all of the board is in view" in collection.offer([None])
     assert "both" in collection.offer([first, None])
     assert "still" in collection.offer([first])
     assert collection.offer([replaced(first, xy=first.xy + 0.5)]) == ""

@@ -147,7 +147,7 @@ def test_an_axis_that_runs_backwards_or_two_that_are_swapped_are_refused(machine
     told = places() * (1.0, 1.0, 0.0)
     found = [replace(panel(q @ machine), reading=q) for q in told]
     seen = [] if touched else tips(told)
-    with pytest.raises(DegenerateError, match="one of them runs backwards, or the two are swapped"):
+    with pytest.raises(DegenerateError, match="one runs backwards, or both have changed places"):
         calibrate_on_carriage(found, seen, CAMERAS, contacts(1) if touched else [])
 
 
@@ -203,7 +203,9 @@ def test_a_panel_that_stays_means_a_camera_that_does_not_ride() -> None:
 
 
 def test_without_sight_and_touch_the_stylus_is_unknown() -> None:
-    with pytest.raises(DegenerateError, match=r"nothing tells where the stylus is: .* touch one to five known points"):
+    with pytest.raises(
+        DegenerateError, match=r"the position of the stylus is unknown: .* touch one to five known points"
+    ):
         calibrate_on_carriage(panels(places()), [], CAMERAS)
     with pytest.raises(DegenerateError, match=r"6 contacts \(limit 5\)"):
         calibrate_on_carriage(panels(places()), [], CAMERAS, contacts(6))

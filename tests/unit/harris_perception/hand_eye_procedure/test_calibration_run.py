@@ -444,7 +444,10 @@ def test_a_tip_that_is_nowhere_seen_is_no_matter_of_some_places() -> None:
     assert isinstance(rig.end, CalibrationFailed) and rig.end.reason.startswith(
         "7 of 24 positions gave no sample; last: the cameras saw the tip"
     )
-    assert "; the tip was nowhere seen by both cameras: are left and right swapped, is one upside" in rig.end.reason
+    assert (
+        "; the two cameras never saw the tip at once. Have left and right changed places, is one upside"
+        in rig.end.reason
+    )
 
 
 def stale(rig: Machine, number: int) -> None:

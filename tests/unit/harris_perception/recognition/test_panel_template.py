@@ -166,7 +166,7 @@ def test_picture_of_another_size_is_refused() -> None:
 
 @pytest.mark.parametrize("px_per_mm", [0.1, 500.0])
 def test_absurd_scales_are_refused(px_per_mm: float) -> None:
-    with pytest.raises(ValueError, match="sides from 16 to 8192 px"):
+    with pytest.raises(ValueError, match="limits 16 to 8192 px"):
         draw_panel(layout(), px_per_mm)
 
 
