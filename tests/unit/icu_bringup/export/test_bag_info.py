@@ -103,4 +103,4 @@ def test_a_strip_that_cannot_be_saved_is_an_error(
     session: Path, tmp_path: Path, name: str, reason: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert bag_info.main([str(session), "--strip", str(tmp_path / name)]) == 1
-    assert capsys.readouterr().err == f"cannot write error: {tmp_path / name}: {reason}\n"
+    assert capsys.readouterr().err == f"error: {tmp_path / name} cannot be written: {reason}\n"

@@ -49,7 +49,7 @@ def test_mapping_round_trip() -> None:
         pytest.param({"count": 10**400}, "count = 10+ does not fit into 64 bits", id="beyond an integer"),
         ({"count": True}, "expected int"),
         ({"count": 1.5}, "expected int"),
-        ({"names": [1]}, "expected a tuple of str"),
+        ({"names": [1]}, "expected str"),
         ({"names": 3}, "names = 3; expected a tuple of str"),
         ({"names": None}, "names = None; expected a tuple of str"),
         ({"cuont": 1}, "no setting cuont; it has count, names, part.gain"),

@@ -118,11 +118,14 @@ def test_a_rectified_picture_is_where_rectified_pixels_are(skew: float) -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"k": [[1700, 0, 650], [2, 1690, 350], [0, 0, 1]]}, r"camera test: k is \[\[.* \[2\.0, .*"),
+        ({"k": [[1700, 0, 650], [2, 1690, 350], [0, 0, 1]]}, r"camera test: k is \[\[.* \[2\.0, .*; expected "),
         ({"k": [[1700, 0, 650], [0, 1690, 350], [0, 0, 2]]}, r"\[\[fx, skew, cx\], \[0, fy, cy\], \[0, 0, 1\]\]"),
-        ({"p": [[1680, 3, 640, 0], [0, 1680, 360, 0], [0, 0, 1, 0]]}, r"camera test: p .*, \[\[fx, 0, cx, tx\], \["),
-        ({"p": [[1680, 0, 640, 0], [0, 1680, 360, 5], [0, 0, 1, 0]]}, r"camera test: p .*"),
-        ({"p": [[1680, 0, 640, 0], [0, 1680, 360, 0], [0, 0, 2, 0]]}, r"camera test: p .*"),
+        (
+            {"p": [[1680, 3, 640, 0], [0, 1680, 360, 0], [0, 0, 1, 0]]},
+            r"camera test: p .*; expected \[\[fx, 0, cx, tx\], \[",
+        ),
+        ({"p": [[1680, 0, 640, 0], [0, 1680, 360, 5], [0, 0, 1, 0]]}, r"camera test: p .*; expected "),
+        ({"p": [[1680, 0, 640, 0], [0, 1680, 360, 0], [0, 0, 2, 0]]}, r"camera test: p .*; expected "),
         ({"r": np.zeros((3, 3))}, r"camera test: r \[\[0\.0, .* is not a rotation"),
         ({"p": np.zeros((3, 4))}, r"camera test: p has focal length 0\.0, 0\.0; expected above 0"),
         ({"width": 0}, r"camera test: pictures of 0 x 720 px; expected 1 to 32767 each way"),

@@ -79,7 +79,7 @@ def test_text_round_trip(gesture: Gesture) -> None:
         ("drag:SCREEN", "drag needs the point x,y@frame"),
         ("press:RUN id=a b", "expected id="),
         ("press:RUN now", "expected id="),
-        ("press:" + "A" * 300, "at most 200"),
+        ("press:" + "A" * 300, "limit 200"),
     ],
 )
 def test_refusals(text: str, message: str) -> None:

@@ -92,7 +92,7 @@ def test_good_layout() -> None:
         (
             "shape: circle\n",
             "shape: circle\n    marks_deg:\n      INF: 0\n",
-            r"f\.yaml:14: mark 'INF': .*, but not nan or inf, which are numbers",
+            r"f\.yaml:14: mark 'INF'; expected .*, but not nan or inf, which are numbers",
         ),
         (
             "height_mm: 3\n",

@@ -118,4 +118,4 @@ def test_what_is_to_be_recorded_after_the_end_is_told_and_hurts_nobody(
         rig.server.close()
         rig.server.door.turned_away.note("127.0.0.1", "sign-in", "wrong_token")
     assert path.read_text() == ""
-    assert "cannot write the record" in caplog.text
+    assert "the record could not be written" in caplog.text
