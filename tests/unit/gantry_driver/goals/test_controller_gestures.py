@@ -340,7 +340,6 @@ def test_an_effect_counts_that_is_seen_before_the_driver_reports_the_contact() -
     [
         ("red", 0.3, "lamp green -> red"),
         ("green", 0.3, "screen changed"),
-        ("red", 5.0, "screen changed"),
     ],
 )
 def test_a_lamp_that_the_stylus_hides_at_first_tells_more_than_the_screen(

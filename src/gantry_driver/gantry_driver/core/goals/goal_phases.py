@@ -317,7 +317,7 @@ class GoalPhases(ContactPhases):
             self._judge_knob(job, job.knob)
         elif not job.touched_ns:
             self._try(job, Phase.APPROACH, lambda: self._way_to(job))
-        elif not job.effect and not job.went_aside and self._hides_lamp(job):
+        elif not job.went_aside and self._hides_lamp(job) and (job.effect is None or not job.effect.of_control):
             job.went_aside = True
             self._move_aside(job, job.touch.control)
         elif job.effect or not self.config.require_effect:

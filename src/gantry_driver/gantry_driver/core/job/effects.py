@@ -53,6 +53,11 @@ class Effect:
         """Whether something has changed."""
         return self.kind not in _MISSING
 
+    @property
+    def of_control(self) -> bool:
+        """Whether the touched control itself shows it: a screen may also change by itself."""
+        return self.kind in (EffectKind.LAMP, EffectKind.KNOB)
+
     def details(self) -> tuple[tuple[str, str], ...]:
         """Return the effect as pairs for ``GoalResult.details``."""
         missing = _MISSING.get(self.kind)
