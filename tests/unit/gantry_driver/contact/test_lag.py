@@ -54,6 +54,15 @@ def test_an_image_of_the_moving_stylus_does_not_count() -> None:
     assert height_of(tips, 0.03).seen_m == -0.0288
 
 
+def test_one_wrong_image_does_not_make_a_contact_unknown() -> None:
+    """Before, such a touch of the bare face was answered with contact_unknown: sigma was 0.25 mm."""
+    air, now = np.zeros((10, 3)), np.zeros((4, 3))
+    air[:, 2] = [-0.02, -0.0201, -0.0199, -0.02, -0.0199, -0.0201, -0.02, -0.02, -0.0199, -0.0186]
+    now[:, 2] = [-0.03, -0.0299, -0.0301, -0.03]
+    lag = lag_between(height_of(air, 0.02), height_of(now, 0.031), CONFIG)
+    assert lag.stopped(CONFIG) and lag.lag_m == pytest.approx(0.001) and lag.sigma_m < 0.00012
+
+
 def test_a_press_goes_on_until_the_ball_stops_or_the_bound_is_reached() -> None:
     free, held = Lag(lag_m=0.0, sigma_m=0.00008), Lag(lag_m=0.0008, sigma_m=0.00008)
     assert next_extension_m(0.030, 0.035, free, CONFIG) == pytest.approx(0.031)

@@ -14,6 +14,11 @@ import numpy as np
 from gantry_driver.core.contact.config import ContactConfig
 from icu_common.core.geometry.geometry import Array
 
+_MAD = 1.4826
+"""Standard deviation of a normal variable, as a multiple of its median absolute deviation."""
+_OUTLIER, _LEAST_M = 3.0, 0.0001
+"""Deviation from the median, in standard deviations of at least this size, above which a height counts as this far
+off: a few wrong measurements move neither the median nor its error much."""
 _PRIOR_IMAGES = 4
 """Number of images that ``image_sigma_m`` counts as."""
 
@@ -64,9 +69,9 @@ def height_of(tips: Array, extension_m: float) -> Height:
     """Return the height of tips (N, 3) in base_link at a reading; N is at least 1."""
     heights = tips[:, 2]
     middle = float(np.median(heights))
-    return Height(
-        seen_m=middle, extension_m=extension_m, scatter_m2=float(np.sum((heights - middle) ** 2)), count=len(heights)
-    )
+    off = np.abs(heights - middle)
+    off = np.minimum(off, _OUTLIER * max(_MAD * float(np.median(off)), _LEAST_M))
+    return Height(seen_m=middle, extension_m=extension_m, scatter_m2=float(off @ off), count=len(heights))
 
 
 def lag_between(air: Height, now: Height, config: ContactConfig) -> Lag:

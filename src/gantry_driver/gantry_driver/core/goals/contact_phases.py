@@ -117,7 +117,19 @@ class ContactPhases(GoalRun):
     def _holds(self, job: Job) -> bool:
         """Whether the contact continues although enough images were seen, because the press goes no deeper."""
         since_ns = job.down_ns if job.kind in ("hold", "long") else job.pressed_ns
-        return self._now_ns < since_ns + nanoseconds(job.hold_s) and self._deeper(job) is None
+        within = self._now_ns < since_ns + nanoseconds(job.hold_s)
+        return (within or self._undecided(job)) and self._deeper(job) is None
+
+    def _undecided(self, job: Job) -> bool:
+        """Whether more images of a contact may still decide whether anything was touched."""
+        config = self.config
+        if job.kind != "press" or job.touch is None or job.air is None or self.switch.closed:
+            return False
+        most_s = config.press_max_s if job.touch.key else config.decide_max_s
+        if config.motion.stylus_two_positions or self._now_ns >= job.pressed_ns + nanoseconds(most_s):
+            return False
+        lag = self._measured_lag(job)
+        return lag is not None and not lag.stopped(config.contact) and not lag.free(config.contact)
 
     def _deeper(self, job: Job) -> float | None:
         """Return the extension of the next step, None at the end of the press."""

@@ -85,6 +85,13 @@ class ControllerConfig(Config):
         maximum=5.0,
         unit="s",
     )
+    decide_max_s: float = setting(
+        1.0,
+        "Maximum contact time of a press, except of a key, while images have not decided whether it touched",
+        minimum=0.0,
+        maximum=5.0,
+        unit="s",
+    )
     picture_wait_s: float = setting(
         1.0, "Maximum time after the lift for the images of the contact to arrive", minimum=0.0, maximum=10.0, unit="s"
     )
