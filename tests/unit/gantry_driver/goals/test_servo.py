@@ -51,8 +51,8 @@ def test_a_look_is_not_done_while_too_few_agree_sideways() -> None:
 @pytest.mark.parametrize(
     ("error_mm", "corrections", "verdict"),
     [
-        ((0.14, 0.0, 0.0), 0, "touch"),
-        ((0.16, 0.0, 0.0), 0, "correct"),
+        ((0.04, 0.0, 0.0), 0, "touch"),
+        ((0.06, 0.0, 0.0), 0, "correct"),
         ((0.49, 0.0, 0.0), 3, "touch"),
         ((0.0, 0.51, 0.0), 3, "the seen error is 0.51 mm after 3 corrections, 0.5 mm are allowed"),
         ((3.0, 4.1, -1.0), 0, "the tip is seen 5.08 mm beside and -1.00 mm above its place, 5 and 3 mm are allowed"),
@@ -84,6 +84,27 @@ def test_corrections_lead_a_machine_with_other_axes_to_the_target() -> None:
     assert last.corrections == 1
     assert errors[0] > 0.001
     assert errors[-1] < CONFIG.tolerance_m
+
+
+def test_the_mean_of_all_looks_decides_and_not_the_last_one() -> None:
+    """Looks scatter by more than the error that is left, so each of them alone corrects to another position."""
+    aim = Aim(base_from_reading=np.eye(2)).looked(np.array([0.0003, 0.0]), 0.0003)
+    assert judge(np.array([0.0003, 0.0, 0.0]), aim, CONFIG) is not None
+    aim = aim.corrected(aim.rest()).looked(np.array([0.00008, 0.0]), 0.0003)
+    np.testing.assert_allclose(aim.rest(), [0.00004, 0.0], atol=1e-12)
+    assert judge(np.array([0.00008, 0.0, 0.0]), aim, CONFIG) is None
+    moved = aim.looked(np.array([0.0, 0.0004]), 0.0003)
+    np.testing.assert_allclose(moved.rest(), [0.0, 0.0004], atol=1e-12)
+    assert moved.looks == 1, "looks before the tip has moved do not count"
+
+
+def test_a_look_whose_distances_scatter_takes_more_images() -> None:
+    look = Look(after_ns=0, needed=2, kept=4)
+    for number, z in enumerate((0.4, 0.4002, 0.4001, 0.4003), start=1):
+        look = look.with_tip(np.array([0.0, 0.0, z]), number)
+        assert look.precise(0.00004) == (number == 4)
+    even = Look(after_ns=0, needed=2, kept=4).with_tip(np.zeros(3), 1).with_tip(np.zeros(3), 2)
+    assert even.precise(0.00004)
 
 
 def test_errors_that_do_not_follow_the_corrections_end_it() -> None:

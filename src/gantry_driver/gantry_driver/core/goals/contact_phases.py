@@ -16,6 +16,8 @@ from gantry_driver.core.goals.touch_checks import note_error, touch_finding
 from gantry_driver.core.job.effects import EffectKind
 from gantry_driver.core.job.goal_job import Fault, Job, Phase
 from gantry_driver.core.motion import motion_plan
+from gantry_driver.core.motion.touch_error import ray_at
+from gantry_driver.core.sight.tip_noise import combined, sideways
 from icu_common.core.geometry.geometry import Array
 from icu_common.core.goals.results import Felt, Outcome
 from icu_common.core.reasons.message import Message, joined
@@ -35,6 +37,22 @@ class ContactPhases(GoalRun):
         self.heights.config = self.config.contact
         if job.touch is not None and not self.config.motion.stylus_two_positions:
             job.aim = replace(job.aim, lower_m=self.heights.stylus.value_m)
+
+    def _error_above(self, job: Job, seen: Array) -> Array:
+        """Return the error (3,) of a tip seen above its target, without the part that its reading disproves."""
+        assert job.touch is not None and job.scene is not None
+        error, config = seen - job.tip_goal(), self.config
+        ray = ray_at(seen, job.scene, self._world.pair)
+        if not (config.motion.stylus_two_positions or config.camera_on_carriage):
+            offset_m = float(seen[2] + self._world.here[2])
+            height_m = self.tips.take_height(offset_m, self._world.height_correction_m())
+            error[:2] -= sideways(ray, height_m)
+        job.aim = job.aim.looked(error[:2], config.look_agreement_m)
+        covariance = self.tips.in_air(ray, job.aim.looks)
+        job.above = job.aim.rest(), covariance
+        job.hover_error_m = float(np.linalg.norm(job.above[0]))
+        note_error(job, *job.above, self._world, config)
+        return error
 
     def _take_air(self, job: Job, seen: Array) -> Fault | None:
         """Take the last look before a touch as the baseline of its descent; correct the stylus's offset."""
@@ -188,12 +206,23 @@ class ContactPhases(GoalRun):
         seen, above_m = self._seen_in_base(job), math.nan
         if seen is not None:
             off = seen - job.touch.in_base
-            job.error_m, job.measured_beside = float(np.linalg.norm(off[:2])), False
-            note_error(job, off, self._world, self.config)
+            error, covariance = self._error_in_contact(job, seen, off[:2])
+            job.error_m, job.measured_beside = float(np.linalg.norm(error)), False
+            note_error(job, error, covariance, self._world, self.config)
             above_m = float(off[2]) - self.config.touch.ball_radius_m
         elif job.measured_beside:
             job.error_m = job.hover_error_m
         return contact_fault(job.error_m, above_m, self._tip_look, self.config)
+
+    def _error_in_contact(self, job: Job, seen: Array, off: Array) -> tuple[Array, Array]:
+        """Return the tip's offset (2,) from its target and its covariance (2, 2), by the looks above and in contact."""
+        assert job.scene is not None
+        ray = ray_at(seen, job.scene, self._world.pair)
+        if job.above is None or job.measured_beside or self.config.motion.stylus_two_positions:
+            return off, self.tips.in_contact(ray)
+        if self.phase is Phase.MEASURE:
+            self.tips.take_gap(off - job.above[0], ray)
+        return combined(*job.above, off, self.tips.in_contact(ray))
 
     # Up again
 

@@ -182,6 +182,7 @@ class Controller(GoalPhases):
                 if not _same(world.base_from_reading, event.base_from_reading):
                     # A calibration measures the stylus's height as well.
                     self.heights.forget(world.height_correction_m())
+                    self.tips.forget()
                 world.base_from_reading = event.base_from_reading
             case msg.PairSeen():
                 world.pair = event.pair

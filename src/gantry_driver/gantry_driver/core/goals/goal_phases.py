@@ -13,7 +13,7 @@ from gantry_driver.core.goals.contact_phases import ContactPhases
 from gantry_driver.core.goals.goal_run import nanoseconds
 from gantry_driver.core.goals.obstacles import obstacles
 from gantry_driver.core.goals.servo import judge, misplaced, places_beside
-from gantry_driver.core.goals.touch_checks import contact_finding, note_error
+from gantry_driver.core.goals.touch_checks import contact_finding
 from gantry_driver.core.job import controller_messages as msg
 from gantry_driver.core.job.effects import NONE_SEEN, Effect, EffectKind, Knob, effect, knob_of
 from gantry_driver.core.job.goal_job import LOOKING, NANO, Aim, Fault, Job, Phase, Step
@@ -72,6 +72,7 @@ class GoalPhases(ContactPhases):
                 return None
             # No touch while images that may show an obstacle are late.
             timely = self.phase is not Phase.LOOK or not self._view_delays()
+            timely = timely and (self.phase is not Phase.LOOK or self._tip_look.precise(self.config.tip_sigma_m))
             return self._looked(job, timely and self._seen_in_base(job) is not None)
         if self._arrived_ns is not None and self._standing():
             if job.fault is not None and self.phase is not Phase.BREAK_OFF:
@@ -218,14 +219,13 @@ class GoalPhases(ContactPhases):
 
     def _look_at_hover(self, job: Job) -> None:
         config = self.config
-        self._look(Phase.LOOK, config.settle_s, config.look_timeout_s, needed=config.tip_count, kept=config.tip_count)
+        most = max(config.tip_count, config.tip_count_max)
+        self._look(Phase.LOOK, config.settle_s, config.look_timeout_s, needed=config.tip_count, kept=most)
 
     def _judge_hover(self, job: Job) -> None:
         seen = self._seen_in_base(job)
         assert seen is not None
-        error = seen - job.tip_goal()
-        job.hover_error_m = float(np.linalg.norm(error[:2]))
-        note_error(job, error, self._world, self.config)
+        error = self._error_above(job, seen)
         job.pair = self._world.pair
         match judge(error, job.aim, self.config):
             case None:

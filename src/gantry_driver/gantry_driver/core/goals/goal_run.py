@@ -32,6 +32,7 @@ from gantry_driver.core.job.goal_job import (
 from gantry_driver.core.job.patience import next_limit_s, since
 from gantry_driver.core.motion import motion_plan
 from gantry_driver.core.motion.motion_plan import OutOfReach, Path
+from gantry_driver.core.sight.tip_noise import TipNoise
 from icu_common.core.alignment.findings import Cause
 from icu_common.core.geometry.geometry import Array
 from icu_common.core.goals.intent import Intent
@@ -53,6 +54,7 @@ class GoalRun:
     def __init__(self, config: ControllerConfig) -> None:
         self.config = config
         self.heights = HeightMemory(config.contact)
+        self.tips = TipNoise(height_m=config.contact.height.look_sigma_m, across_m=config.touch_error.across_sigma_m)
         self.switch = StylusSwitch()
         self.phase = Phase.IDLE
         self.counts = dict.fromkeys(Outcome, 0)

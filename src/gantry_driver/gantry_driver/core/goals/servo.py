@@ -45,6 +45,13 @@ class Look:
     kept: int
     tips: tuple[Array, ...] = ()
 
+    def precise(self, sigma_m: float) -> bool:
+        """Whether the mean of the tips is known to ``sigma_m`` along the camera's axis, or no more tips are kept."""
+        count = len(self.tips)
+        if count >= self.kept or count < 2:
+            return count >= self.needed
+        return float(np.std([tip[2] for tip in self.tips], ddof=1)) <= sigma_m * math.sqrt(count)
+
     def with_tip(self, in_camera: Array, stamp_ns: int) -> Look:
         """Return the look with one more observation, if its image counts."""
         counts = self.after_ns < stamp_ns <= self.until_ns
@@ -75,13 +82,14 @@ def judge(error: Array, aim: Aim, config: ControllerConfig) -> Fault | Aim | Non
 
     None: the error is small enough to touch.
     """
-    sideways = float(np.linalg.norm(error[:2]))
+    rest = aim.rest() if aim.looks else error[:2]
+    sideways = float(np.linalg.norm(rest))
     if (fault := misplaced(error, config)) is not None:
         return fault
     if sideways <= config.tolerance_m:
         return None
     if aim.corrections < config.max_corrections:
-        return _corrected(error[:2], aim, config.max_correction_m)
+        return _corrected(rest, aim, config.max_correction_m)
     if sideways <= config.max_error_m:
         return None
     return Fault(

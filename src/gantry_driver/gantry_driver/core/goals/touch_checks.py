@@ -15,13 +15,13 @@ if TYPE_CHECKING:
     from gantry_driver.core.job.goal_job import Job
 
 
-def note_error(job: Job, off: Array, world: World, config: ControllerConfig) -> None:
-    """Keep the seen offset (3,) of the tip in base_link, with its covariance."""
+def note_error(job: Job, off: Array, look: Array, world: World, config: ControllerConfig) -> None:
+    """Keep the seen offset (2,) of the tip in base_link; ``look`` (2, 2) is the covariance of the looks alone."""
     assert job.touch is not None and job.scene is not None
     named = job.gesture is not None and isinstance(job.gesture.target, str)  # a point needs no layout
     layout = layout_sigma_m(world.deviations.get(job.touch.control) if named else None)
     covariance = covariance_at(job.touch.in_base, job.scene, world.pair, layout, config.touch_error)
-    job.touch_error = TouchError(seen=off[:2], covariance=covariance)
+    job.touch_error = TouchError(seen=off, covariance=covariance + look)
 
 
 def touch_finding(job: Job, world: World, config: ControllerConfig) -> Finding | None:

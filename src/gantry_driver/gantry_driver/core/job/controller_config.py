@@ -18,7 +18,7 @@ class ControllerConfig(Config):
     """Parameters of the gantry controller."""
 
     tolerance_m: float = setting(
-        0.00015, "Seen error up to which no further correction is made", minimum=1e-5, maximum=0.01, unit="m"
+        0.00005, "Seen error up to which no further correction is made", minimum=1e-5, maximum=0.01, unit="m"
     )
     max_error_m: float = setting(
         0.0005,
@@ -48,7 +48,24 @@ class ControllerConfig(Config):
     require_servo: bool = setting(
         True, "Touch only where the cameras see the tip above the panel", guards="the stylus touches unseen"
     )
-    tip_count: int = setting(4, "Number of tip observations averaged in one look", minimum=1, maximum=50)
+    tip_count: int = setting(4, "Minimum number of tip observations averaged in one look", minimum=1, maximum=50)
+    tip_count_max: int = setting(
+        12, "Maximum number of tip observations averaged in one look above a target", minimum=1, maximum=50
+    )
+    tip_sigma_m: float = setting(
+        0.00004,
+        "Standard deviation of a look's mean distance up to which no more observations are averaged",
+        minimum=1e-6,
+        maximum=0.01,
+        unit="m",
+    )
+    look_agreement_m: float = setting(
+        0.0003,
+        "Maximum difference between the mean of earlier looks above a target and a new one that is averaged with them",
+        minimum=0.0,
+        maximum=0.01,
+        unit="m",
+    )
     tip_spread_m: float = setting(
         0.0006,
         "Maximum lateral distance of a tip observation from the mean of its look",

@@ -142,17 +142,33 @@ class Aim:
     """Conversion of points in base_link to readings: the axes (2, 2), and the correction (2,) in readings found so far.
 
     ``corrections`` is the number of corrections. ``lower_m`` is the additional extension of the stylus for a height.
+    ``found`` (2,) is the mean of the corrections that ``looks`` looks have shown.
     """
 
     base_from_reading: Array
     lower_m: float = 0.0
     correction: Array = field(default_factory=lambda: np.zeros(2))
     corrections: int = 0
+    looks: int = 0
+    found: Array = field(default_factory=lambda: np.zeros(2))
 
     def readings_at(self, base_points: Array) -> Array:
         """Map (N, 3) base points to readings."""
         xy = np.linalg.solve(self.base_from_reading, base_points[:, :2].T).T + self.correction
         return np.column_stack([xy, self.lower_m - base_points[:, 2]])
+
+    def looked(self, error_xy: Array, agreement_m: float) -> Aim:
+        """Return the aim after a look at the tip, ``error_xy`` (2,) in base_link off its target.
+
+        Looks that differ by more than ``agreement_m`` are not averaged: the tip has moved since the earlier ones.
+        """
+        found = self.correction - np.linalg.solve(self.base_from_reading, error_xy)
+        looks = self.looks if np.linalg.norm(self.base_from_reading @ (found - self.found)) <= agreement_m else 0
+        return replace(self, looks=looks + 1, found=(looks * self.found + found) / (looks + 1))
+
+    def rest(self) -> Array:
+        """Return the tip's offset (2,) m from its target in base_link, by all looks."""
+        return np.asarray(self.base_from_reading @ (self.correction - self.found))
 
     def corrected(self, error_xy: Array) -> Aim:
         """Return the corrected aim for a tip that was seen ``error_xy`` (2,) in base_link off its target."""
@@ -184,6 +200,8 @@ class Job:
     """Positions next to the target for a look at the tip, the current one first; None until a look needs them."""
     measured_beside: bool = False
     hover_error_m: float = math.nan
+    above: tuple[Array, Array] | None = None
+    """Offset (2,) m of the tip from its target by the looks above it, and its covariance (2, 2)."""
     touch_error: TouchError | None = None
     """Last seen offset, with its covariance."""
     pair: PairState | None = None

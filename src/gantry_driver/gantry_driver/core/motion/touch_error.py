@@ -75,6 +75,13 @@ class TouchError:
         )
 
 
+def ray_at(in_base: Array, scene: Scene, pair: PairState | None) -> Array:
+    """Return the unit vector (3,) in base_link from the middle between the cameras to a position (3,)."""
+    middle = np.array([0.0 if pair is None else pair.baseline_m / 2, 0.0, 0.0])
+    way = in_base - scene.camera_from_base.inverse().apply(middle)
+    return np.asarray(way / np.linalg.norm(way))
+
+
 def covariance_at(
     in_base: Array, scene: Scene, pair: PairState | None, layout_sigma_m: tuple[float, float], config: TouchErrorConfig
 ) -> Array:
