@@ -32,8 +32,11 @@ class WakePipe:
             os.write(self.write_fd, b"\0")
 
     def drain(self) -> list[str]:
-        """Empty the readable pipe; return the names of the stop signals that were written to it."""
-        return [_NAMES[number] for number in set(os.read(self.read_fd, 4096)) & _NAMES.keys()]
+        """Empty the pipe; return the names of the stop signals that were written to it."""
+        written = b""
+        with contextlib.suppress(BlockingIOError):  # another thread has emptied it
+            written = os.read(self.read_fd, 4096)
+        return [_NAMES[number] for number in set(written) & _NAMES.keys()]
 
     def close(self) -> None:
         """Close the pipe; :meth:`wake` then does nothing."""
