@@ -111,6 +111,16 @@ class Rig:
         return self.desk.answers.result(GoalResult(goal_id=str(stamp_ns), goal="", outcome=outcome), self.now)
 
 
+def moving(pictures: bool = False) -> Rig:
+    """Return a desk whose machine moves, with images of the cameras or without."""
+    rig = Rig()
+    if pictures:
+        rig.desk.machine.picture_came(rig.now)
+    rig.desk.machine.set_state("driver", "moving")
+    rig.wait(0.1, alive=True)
+    return rig
+
+
 def of_type(effects: list[Effect], kind: Any) -> list[Any]:
     return [effect for effect in effects if isinstance(effect, kind)]
 

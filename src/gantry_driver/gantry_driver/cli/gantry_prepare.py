@@ -291,7 +291,7 @@ class _PreparationSteps:
         def ended() -> bool:
             nonlocal shown
             if self._session.publishers(topic) - asked:  # the state of a restarted program is not that of this step
-                raise PreparationFailed(f"{what} was cut short: the node that was asked has been started anew")
+                raise PreparationFailed(f"{what} did not end: its program has restarted")
             for text in texts[shown:]:
                 shown += 1
                 self._narrator.state(what, text)

@@ -233,12 +233,12 @@ def test_what_was_kept_of_the_stylus_is_not_shown_elsewhere_or_in_other_light() 
     for light in (*lights, lights[0]):
         seen.relight(light)
         for tip in tips:
-            anew = drawn(StylusPainter(seen, BenchStylusConfig()), tip)
+            fresh = drawn(StylusPainter(seen, BenchStylusConfig()), tip)
             travelling = drawn(painter, tip)
             for _ in range(2):  # cast, then kept
-                assert np.array_equal(drawn(painter, tip), anew)
-            assert np.abs(travelling.astype(int) - anew).mean() < 0.05, "fewer samples, the same picture"
-            assert (anew < 100).any()
+                assert np.array_equal(drawn(painter, tip), fresh)
+            assert np.abs(travelling.astype(int) - fresh).mean() < 0.05, "fewer samples, the same picture"
+            assert (fresh < 100).any()
 
 
 @pytest.mark.parametrize("bend", [-0.8, 0.8])

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
-from unit.scope_ui_bridge.desk_rig import Rig, of_type
+from unit.scope_ui_bridge.desk_rig import moving, of_type
 from unit.scope_ui_bridge.web_rig import Rig as WebRig
 from unit.scope_ui_bridge.web_rig import page, with_rig
 
@@ -15,15 +15,6 @@ from scope_ui_bridge.core.effects import Effect, StopNow
 def cause(effects: list[Effect]) -> tuple[str, dict[str, Any]]:
     (stop,) = of_type(effects, StopNow)
     return stop.cause.code, dict(stop.cause.values)
-
-
-def moving(pictures: bool = False) -> Rig:
-    rig = Rig()
-    if pictures:
-        rig.desk.machine.picture_came(rig.now)
-    rig.desk.machine.set_state("driver", "moving")
-    rig.wait(0.1, alive=True)
-    return rig
 
 
 def test_a_person_is_logged_by_name() -> None:

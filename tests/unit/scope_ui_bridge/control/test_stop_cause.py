@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
-from unit.scope_ui_bridge.desk_rig import Rig, of_type
+from unit.scope_ui_bridge.desk_rig import Rig, moving, of_type
 
 from icu_common.core.goals.results import GoalResult, Outcome
 from icu_common.core.reasons.codes import CODE, REASON, STOP_ASKED, ControllerCode, DriverCode
@@ -13,15 +13,6 @@ from scope_ui_bridge.core.effects import Ping, StopNow
 
 REQUESTED = {CODE: DriverCode.STOP_REQUESTED.value, REASON: "stop requested"}
 ASKED = ((STOP_ASKED, "yes"),)
-
-
-def moving(pictures: bool = False) -> Rig:
-    rig = Rig()
-    if pictures:
-        rig.desk.machine.picture_came(rig.now)
-    rig.desk.machine.set_state("driver", "moving")
-    rig.wait(0.1, alive=True)
-    return rig
 
 
 def driver_stops(
